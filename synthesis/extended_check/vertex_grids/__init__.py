@@ -1,6 +1,7 @@
 """Value iteration on grids whose vertices have inputs: its check, on the checker's intervals, jets and tables."""
 
 from .backups import FARTHEST, NEAR, Backups, failure_of
+from .bands import Bands
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
 from .lattices import Lattice, LatticeImages
@@ -10,6 +11,7 @@ __all__ = [
     "FARTHEST",
     "NEAR",
     "Backups",
+    "Bands",
     "Images",
     "Lattice",
     "LatticeImages",

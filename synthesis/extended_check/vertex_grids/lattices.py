@@ -31,7 +31,9 @@ square.
 upward: if y moves by y', y'' along a side of a cell, it leaves at most kappa (|y'| + |y''|) s (1 - s) (``backups``).
 
 By hand: numbers of tables are off by some units of densities and of what these are multiplied with, over the width of
-an interval; of all intervals together that is less than GRAIN over the square of the narrowest one.
+an interval; of all intervals together that is less than a tenth of GRAIN over the square of the narrowest one. What is
+further than FAR deviations away is left out: of W times a Hermite polynomial of degree 2 that leaves out at most the
+integral of |x^2 - 1| phi(x) beyond it, 2 FAR phi(FAR) < 2e-15, a hundredth of GRAIN.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Self
 
@@ -49,6 +51,7 @@ from scipy.special import ndtr
 from ...checker import Refused
 from ...checker.intervals import up
 from ...checker.rigorous import Array, Truth, Whole
+from .bands import Bands
 from .closed_loops import ClosedLoop
 from .images import Means, with_vertices
 from .noise_bounds import Noise, Normal
@@ -56,13 +59,14 @@ from .noise_bounds import Noise, Normal
 STEPS = 0.2, 0.25, 0.3, 0.4, 0.5  # of a lattice, in deviations: the first one with few points, or the last
 FEW_POINTS = 250_000
 GRAIN = 2e-13  # of the largest value, by which means and their derivatives are off where cells are a deviation wide
-NOTHING = 1e-100  # numbers of tables that count as 0: products with subnormal ones take a hundred times as long
+FAR = 8.6  # deviations that tables look far
 FINEST = 0.02  # deviations that a cell is wide at least
 MOST_POINTS, MOST_NUMBERS = 3_000_000, 30_000_000  # of a lattice, and of its tables
 MOST_LOOKED, MOST_IN_ALL = (
     3000,
     15_000_000,
 )  # points that a cell looks at, and all of them: what asks for more is given up
+AT_ONCE = 20_000  # points that are looked at at once
 GATHERED = 100.0  # products that take as long as one with a number that is looked up
 SAME = 1e-15  # share of its size by which noise may vary and still count as of one size: what its bounds are rounded by
 
@@ -91,7 +95,8 @@ def _tables(points: Array, edges: Array) -> list[Array]:
     slope, bend = mass / width - last, (first - last) / width - turned[:, 1:]
     each = [(mass - rising, rising), (first - last - slope, slope), (turned[:, :-1] - turned[:, 1:] - bend, bend)]
     tables = [np.stack(pair, axis=-1).reshape(len(points), -1) for pair in each]
-    return [np.where(np.abs(table) < NOTHING, 0.0, table) for table in tables]
+    is_near = np.repeat((t[:, 1:] > -FAR) & (t[:, :-1] < FAR), 2, axis=1)
+    return [np.where(is_near, table, 0.0) for table in tables]
 
 
 def _slopes(W: Array, k: int, width: Array) -> Array:
@@ -133,7 +138,7 @@ class Lattice:
     edges: tuple[Array, ...]
     deviation: Array
     first: Array
-    tables: list[list[Array]]
+    tables: list[list[Bands]]
     shape: tuple[int, ...]
     step: float
     grain: float
@@ -156,7 +161,8 @@ class Lattice:
         if np.prod(shape) > MOST_POINTS or numbers > MOST_NUMBERS:
             raise Refused(f"a lattice of more than {MOST_POINTS} points, or of more than {MOST_NUMBERS} numbers")
         counts = tuple(int(count) for count in shape)
-        tables = [_tables(ends[0, k] + step * np.arange(counts[k]), own[k]) if noisy[k] else [] for k in range(d)]
+        points = [ends[0, k] + step * np.arange(counts[k]) for k in range(d)]
+        tables = [[Bands.of(each) for each in _tables(points[k], own[k])] if noisy[k] else [] for k in range(d)]
         return cls(edges, deviation, ends[0], tables, counts, step, GRAIN / finest**2)
 
     @property
@@ -170,16 +176,7 @@ class Lattice:
         each = [tuple((k == i) + (k == j) for k in axes) for i in axes for j in axes if i <= j]
         return [own for own in each if not any(o == 2 and not has for o, has in zip(own, self.noisy, strict=True))]
 
-    def mean(self, W: Array, orders: Sequence[int]) -> Array:
-        """Return derivatives of these orders of means of numbers (2 n_1, ..) at all points."""
-        for k, order in enumerate(orders):
-            if self.tables[k]:
-                W = np.moveaxis(np.tensordot(self.tables[k][order], W, axes=(1, k)), 0, k)
-            elif order:
-                W = _slopes(W, k, np.diff(self.edges[k]))
-        return W
-
-    def mean_squares(self, W: Array) -> dict[tuple[int, ...], Array]:
+    def mean_squares(self, W: Array, means: Smoothed) -> dict[tuple[int, ...], Array]:
         """Return B at all points for first derivatives, by which axes without noise slopes are taken along."""
         still, result = [k for k, has in enumerate(self.noisy) if not has], {}
         none = (0,) * W.ndim
@@ -187,27 +184,49 @@ class Lattice:
             slopes = W
             for k in chosen:
                 slopes = _slopes(slopes, k, np.diff(self.edges[k]))
-            square = self.mean(slopes * slopes, none)
+            square = Smoothed(self, slopes * slopes).at(none)
             if not chosen:  # polynomials of degree 0
-                square = square - self.mean(W, none) ** 2
+                square = square - means.at(none) ** 2
             square = np.maximum(square, 0.0) + 8.0 * self.grain * float(np.abs(slopes).max()) ** 2
             result[tuple(int(k in chosen) for k in range(W.ndim))] = np.sqrt(square)
         return result
 
-    def rest_of_square(self, W: Array, root: Array) -> Array:
+    def rest_of_square(self, W: Array, means: Smoothed, root: Array) -> Array:
         """Return B at all points for third and further derivatives without slopes, from that for first ones."""
         noisy, square, d = [k for k, has in enumerate(self.noisy) if has], root**2, W.ndim
         for k in noisy:
-            square = square - self.mean(W, tuple(int(e == k) for e in range(d))) ** 2
-            square = square - self.mean(W, tuple(2 * int(e == k) for e in range(d))) ** 2 / 2.0
+            square = square - means.at(tuple(int(e == k) for e in range(d))) ** 2
+            square = square - means.at(tuple(2 * int(e == k) for e in range(d))) ** 2 / 2.0
         for pair in itertools.combinations(noisy, 2):
-            square = square - self.mean(W, tuple(int(e in pair) for e in range(d))) ** 2
+            square = square - means.at(tuple(int(e in pair) for e in range(d))) ** 2
         return np.asarray(np.sqrt(np.maximum(square, 0.0) + 8.0 * self.grain * float(np.abs(W).max()) ** 2))
 
     def kinks(self, W: Array, k: int) -> Array:
         """Return kappa (.., n - 1, ..) at the inner edges of axis k, which has no noise."""
-        ends = np.moveaxis(self.mean(_slopes(W, k, np.diff(self.edges[k])), (0,) * W.ndim), k, -1)
+        ends = np.moveaxis(Smoothed(self, _slopes(W, k, np.diff(self.edges[k]))).at((0,) * W.ndim), k, -1)
         return np.moveaxis(ends[..., 2::2] - ends[..., 1:-1:2], -1, k)
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Derivatives of means of numbers (2 n_1, ..) at all points of a lattice; sums along first axes are made once."""
+
+    lattice: Lattice
+    numbers: Array
+    known: dict[tuple[int, ...], Array] = field(default_factory=dict)
+
+    def at(self, orders: tuple[int, ...]) -> Array:
+        """Return the derivative of these orders along the first axes, summed along those alone."""
+        if not orders:
+            return self.numbers
+        if orders not in self.known:
+            k, W, lattice = len(orders) - 1, self.at(orders[:-1]), self.lattice
+            if lattice.tables[k]:
+                W = lattice.tables[k][orders[-1]].along(W, k)
+            elif orders[-1]:
+                W = _slopes(W, k, np.diff(lattice.edges[k]))
+            self.known[orders] = W
+        return self.known[orders]
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +240,7 @@ class LatticeImages:
     known : (S,) bool
         Cells whose images are known, and on the lattice.
     cells : (M,) int array
-        Those cells.
+        Those cells, which look at few points first.
     start, count : (d, M) int arrays
         The first point along each axis, and how many there are.
     p, q : (d, d, M) arrays
@@ -271,7 +290,7 @@ class LatticeImages:
         order = np.argsort(looked, kind="stable")
         known &= looked <= MOST_LOOKED
         known[order[np.cumsum(looked[order]) > MOST_IN_ALL]] = False
-        cells = np.flatnonzero(known)
+        cells = order[known[order]]
         slopes = loop.slopes[:, :, :d, cells] / unit[:, None]
         p = 0.5 * slopes[:, 0] + 0.5 * slopes[:, 1]
         q = np.maximum(up(slopes[:, 1] - p), up(p - slopes[:, 0])) + 1e-15 * np.abs(p)
@@ -294,11 +313,12 @@ class LatticeImages:
     def cost(self, W: Array) -> tuple[Array, Array]:
         """Return what is taken off all corners (S,) of cells, and bounds on second derivatives (d, S)."""
         lattice, noisy, (d, _, M) = self.lattice, self.lattice.noisy, self.p.shape
-        orders, roots = lattice.orders(), lattice.mean_squares(W)
+        means = Smoothed(lattice, W)
+        orders, roots = lattice.orders(), lattice.mean_squares(W, means)
         grain = lattice.grain * float(np.abs(W).max())
-        table = np.stack([lattice.mean(W, own).ravel() for own in orders], axis=1)
+        table = np.stack([means.at(own).ravel() for own in orders], axis=1)
         largest = {own: self._largest(root) for own, root in roots.items()}
-        rest = largest | {(0,) * d: self._largest(lattice.rest_of_square(W, roots[(0,) * d]))}
+        rest = largest | {(0,) * d: self._largest(lattice.rest_of_square(W, means, roots[(0,) * d]))}
         # p_i p_j of each term, and what it varies by
         terms, varies, spare = np.empty((M, d, len(orders))), np.empty((M, d, len(orders))), np.zeros((d, M))
         far = np.abs(self.p) + self.q
@@ -309,16 +329,7 @@ class LatticeImages:
             most = both * far[:, i] * far[:, j]
             varies[:, :, n] = most.T - np.abs(terms[:, :, n]) + 4e-15 * most.T
             spare += most * (self._between(own) * rest[self._still(own)] + grain)
-        places, begins = self._points
-        looked = table[places]
-        size, bends = np.abs(looked), np.zeros((d, M))
-        for k in range(d if M else 0):
-            found = np.zeros(len(places))
-            for n in range(len(orders)):
-                found += np.repeat(terms[:, k, n], self._looked) * looked[:, n]
-                found += np.repeat(varies[:, k, n], self._looked) * size[:, n]
-            bends[k] = np.maximum(np.maximum.reduceat(found, begins), 0.0)
-        bends += spare
+        bends = np.maximum(self._most(np.concatenate([table, np.abs(table)], axis=1), [terms, varies]), 0.0) + spare
         # What images bend, and are off by, times first derivatives; kinks where there is no noise.
         always = np.full(M, grain)
         for k in range(d):
@@ -352,6 +363,20 @@ class LatticeImages:
     def _points(self) -> tuple[Whole, Whole]:
         """The points that cells look at, cell after cell, and where those of each cell begin."""
         return _listed(self.start, self.count, _strides(self.lattice.shape))
+
+    def _most(self, table: Array, weights: list[Array]) -> Array:
+        """Return the largest sums (d, M) of rows of a table (points, n) that each cell looks at, weights (M, d, n)."""
+        (places, begins), factors = self._points, np.concatenate(weights, axis=2)
+        result, first = np.zeros(factors.shape[:2]), 0
+        while first < len(self.cells):
+            # cells that look at as many points, some at a time
+            size = int(self._looked[first])
+            last = min(int(np.searchsorted(self._looked, size, side="right")), first + AT_ONCE // size + 1)
+            here = places[begins[first] : begins[first] + (last - first) * size]
+            looked = table[here].reshape(last - first, size, -1)
+            result[first:last] = (factors[first:last] @ looked.transpose(0, 2, 1)).max(axis=2)
+            first = last
+        return result.T
 
     def _largest(self, table: Array) -> Array:
         """Return the largest number (M,) of a table that each cell looks at."""
