@@ -24,11 +24,11 @@ from certigym.synthesis.extended_check.vertex_grids import (
     LatticeImages,
     backups,
     failure_of,
+    features,
     images,
     lattices,
     noise_bounds,
 )
-from certigym.synthesis.extended_check.vertex_grids.images import Planes
 from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
 from certigym.synthesis.policy_search.vertex_values import input_choice, value_iteration
 from certigym.synthesis.policy_search.vertex_values.counted_backups import Counted
@@ -226,17 +226,27 @@ def test_what_lies_between_points_is_noticed(is_whole: bool, monkeypatch: pytest
     assert is_whole != any(np.any(found > true + 1e-13) for found, true in pairs)
 
 
-@pytest.mark.parametrize("name", [name for name in OF_ONE_SIZE if "without" not in name])
-def test_second_derivatives_are_bounded_by_those_on_a_lattice(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "on_lattice"),
+    [
+        *((name, True) for name in OF_ONE_SIZE if "without" not in name),
+        ("two states, noise by state and input", False),
+        ("three states", False),
+    ],
+)
+def test_second_derivatives_are_bounded_on_a_lattice_and_feature_by_feature(name: str, on_lattice: bool) -> None:
     problem, edges, rng = on_grid(name, 3)
-    window = np.array([[axis[0] - 0.5, axis[-1] + 0.5] for axis in edges]).T
+    window = np.array([[axis[0] - 0.5, axis[-1] + 0.5] for axis in edges]).T if on_lattice else None
     steps = Backups(problem, edges, (True,) * len(edges), 6.8, None, window)
     at, d = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1), len(edges)
     inputs = np.clip(np.cos(rng.normal(size=(1, d)) @ at).T, -1.0, 1.0)
     W = rng.random(tuple(2 * n for n in steps.shape)) ** 4
+    if not on_lattice:  # in size features do not cancel: few of them
+        W = np.all(np.indices(W.shape) >= len(edges[0]), axis=0).astype(float)
     seen = steps.images_of(inputs, 0)
-    assert isinstance(seen, LatticeImages) and all(steps.noisy)
-    bends, cells = seen.cost(W)[1], np.stack(np.unravel_index(seen.cells, steps.shape))
+    assert isinstance(seen, LatticeImages if on_lattice else images.Images) and all(steps.noisy)
+    places, bends = np.flatnonzero(seen.known), seen.cost(W)[1]
+    cells = np.stack(np.unravel_index(places, steps.shape))
     low, high = (np.stack([axis[own + side] for axis, own in zip(edges, cells, strict=True)]) for side in (0, 1))
     for k in range(d):
         # differences along axis k inside of cells
@@ -244,7 +254,8 @@ def test_second_derivatives_are_bounded_by_those_on_a_lattice(name: str) -> None
         each = [low + (share + side * h * (np.arange(d) == k)[:, None]) * (high - low) for side in (-1, 0, 1)]
         F = [truth(steps, W, inputs, x) for x in each]
         found = (F[0] - 2.0 * F[1] + F[2]) / h**2
-        assert np.all(found <= bends[k, seen.cells] + 1e-5) and np.any(found > 0.2 * bends[k, seen.cells])
+        some = np.any(found > 0.2 * bends[k, places])
+        assert np.all(found <= bends[k, places] + 1e-5) and some
     assert np.all(bends[:, ~seen.known] == 0.0)
 
 
@@ -381,16 +392,23 @@ def test_backups_are_not_much_below_where_cells_are_narrow(name: str) -> None:
     assert not nothing.all() and np.median(true - interpolated(edges, values.reshape(-1, 1), x)[0]) < 0.02 * d
 
 
-@pytest.mark.parametrize("part", ["second", "first", "means"])
+@pytest.mark.parametrize("part", ["single", "mixed", "sizes", "jumps", "means"])
 def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Sabotage: bends, mixed derivatives, or the letter of axes forgotten; some seed shows it.
+    # Sabotage: bends, mixed derivatives, sizes that vary, jumps, or means that are too high; some seed shows it.
+    name = "one state, its noise grows with it" if part == "sizes" else "two states"
     if part == "means":
         means = images.Means.below
         monkeypatch.setattr(images.Means, "below", lambda self, W: means(self, W) + 1e-3)
+    elif part == "sizes":
+        still = lambda self, some: features.Moves(self.y[some], *(0.0 * own[some] for own in self[1:]))  # noqa: E731
+        monkeypatch.setattr(features.Moves, "of", still)
+    elif part == "jumps":
+        monkeypatch.setattr(features, "_jumps", lambda ends: np.zeros((*ends.shape[:-1], ends.shape[-1] // 2 + 1)))
     else:
-        whole = getattr(Planes, part)
-        monkeypatch.setattr(Planes, part, lambda *arguments: 0.02 * whole(*arguments))
-    pairs = (below_and_true("two states", seed, saddle=part == "first") for seed in range(6))
+        whole = getattr(features, f"_{part}")
+        less = {"single": lambda *given: (whole(*given)[0], 0.02 * whole(*given)[1])}
+        monkeypatch.setattr(features, f"_{part}", less.get(part, lambda *given: 0.02 * whole(*given)))
+    pairs = (below_and_true(name, seed, saddle=part == "mixed") for seed in range(6))
     assert any(np.any(found > true + 1e-13) for found, true in pairs)
 
 

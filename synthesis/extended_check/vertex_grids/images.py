@@ -1,72 +1,25 @@
 """Where cells of a grid lead, as planes and intervals see it: means of values at corners, and how far means bend.
 
-The formulas are those of ``backups``: along each axis W is a sum of kinks and jumps at planes, and of slopes between
-them. Points and cells are cut into blocks, which look at what is near their images only (``Images``: the lemma).
+The formulas are those of ``backups``, and second derivatives those of ``features``. Points and cells are cut into
+blocks, which look at what is near their images only (``Images``: the lemma).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...checker.intervals import down, up
 from ...checker.rigorous import Array, Truth, U, Whole
 from .closed_loops import ClosedLoop, corners_of
-from .noise_bounds import Noise, Seen
+from .features import ROUNDED, Moves, Weights, contracted, second_derivatives
+from .noise_bounds import Noise
 
-TINY = 1e-18  # more than what sums lose where products are too small for single precision
-LEAST = np.float32(1e-18)  # of numbers in single precision that are not 0
-ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
-Singles = NDArray[np.float32]
-AT_ONCE = 2**22  # numbers that are formed at once
 BESIDE = 2e5  # products that a block of points costs beside its own
-
-
-def _features(W: Array, k: int, edges: Array) -> Array:
-    """Return kinks (n + 1), jumps (n + 1) and slopes (n), one after the other along axis k of numbers (.., 2 n, ..)."""
-    ends = np.moveaxis(W, k, -1)
-    low, high, nothing = ends[..., ::2], ends[..., 1::2], np.zeros((*ends.shape[:-1], 1))
-    slopes = (high - low) / np.diff(edges)
-    kinks = np.diff(np.concatenate([nothing, slopes, nothing], axis=-1), axis=-1)
-    jumps = np.concatenate([low, nothing], axis=-1) - np.concatenate([nothing, high], axis=-1)
-    return np.moveaxis(np.concatenate([kinks, jumps, slopes], axis=-1), -1, k)
-
-
-def _largest_ends(table: Array, axes: Sequence[int]) -> Array:
-    """Return the larger number of both ends of every interval along some axes."""
-    for k in axes:
-        ends = np.moveaxis(table, k, 0)
-        table = np.moveaxis(np.maximum(ends[::2], ends[1::2]), 0, k)
-    return table
-
-
-def contracted(table: Any, weights: Sequence[Any], last: Sequence[Sequence[Any]] = ((),)) -> Any:
-    """Return sums (.., n) over a table, each number times a weight (n, .) along every axis.
-
-    ``last`` are choices of the weights of the axes that remain, one or two: a row of sums for each of them.
-    """
-    n = len((*weights, *last[0])[0])
-    result, flat = np.empty((len(last), n), dtype=table.dtype), table.reshape(len(table), -1)
-    for some in np.array_split(np.arange(n), n * flat.shape[1] // AT_ONCE + 1):
-        total = table[None]
-        if weights:
-            total = (weights[0][some] @ flat).reshape(len(some), *table.shape[1:])
-        for weight in weights[1:]:
-            total = np.einsum("na,na...->n...", weight[some], total)
-        for row, own in zip(result, last, strict=True):
-            # all axes but the last one are gone after this
-            each = total if len(own) < 2 else own[0][some] @ table if not weights else _product(own[0][some], total)
-            row[some] = np.einsum("na,na->n", own[-1][some], each) if own else total
-    return result if last[0] else result[0]
-
-
-def _product(weights: Any, tables: Any) -> Any:
-    return (weights[:, None] @ tables)[:, 0]
 
 
 def blocks_of(first: Whole, last: Whole) -> Iterator[tuple[Whole, tuple[slice, ...]]]:
@@ -194,32 +147,6 @@ class Means:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
-    """What planes and intervals of one axis weigh at most as seen from cells, in single precision (S, .).
-
-    ``mass`` are probabilities of intervals, ``seconds`` and ``firsts`` weights of features for second and first
-    derivatives along each side of the cell, ``off`` the same for what images may be off by.
-    """
-
-    mass: Singles
-    seconds: list[Singles]
-    firsts: list[Singles]
-    off: Singles
-
-    @classmethod
-    def of(cls, planes: Planes | Crossed, moves: Sequence[Sequence[Array]], off: Sequence[Array]) -> Weights:
-        """Return the weights, for y and sigma that move and bend so far, and may be off by so much."""
-        seconds = [_rounded_up(planes.second(*own)) for own in moves]
-        firsts = [_rounded_up(planes.first(*own[:2])) for own in moves]
-        return cls(_rounded_up(planes.mass), seconds, firsts, _rounded_up(planes.first(*off)))
-
-    @property
-    def size(self) -> int:
-        """How many numbers of double precision would take as much room."""
-        return (self.mass.size + self.off.size + sum(own.size for own in (*self.seconds, *self.firsts))) // 2
-
-
-@dataclass(frozen=True, eq=False)
 class Images:
     """Where a closed loop leads: weights of means at vertices, and bounds on weights on the images of cells.
 
@@ -254,12 +181,13 @@ class Images:
 
     def work(self) -> float:
         """Return about how many products means at vertices and bounds on cells take."""
-        d = len(self.edges)
-        pairs = sum(
-            len(places) * math.prod(own.stop - own.start for own in windows) for places, windows, _ in self.blocks
-        )
-        # of a cell with another one: its mean and all that F may bend
-        return self.vertices.products + 2.0**d * (1.0 + 4.0 * d + 4.5 * d * (d - 1)) * pairs
+        products = self.vertices.products
+        for places, windows, weights in self.blocks:
+            # of a cell with another one: what features of each axis weigh, and of pairs of them
+            sized = [1.0 + own.is_sized for own in weights]
+            each = sum(1.0 + own for own in sized) + sum(map(math.prod, itertools.combinations(sized, 2)))
+            products += each * len(places) * math.prod(own.stop - own.start for own in windows)
+        return products
 
     @classmethod
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
@@ -277,15 +205,14 @@ class Images:
             inside = ends[0, d + k] > 0.0 if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
         ends = np.where(known, ends, 1.0)
-        moved, off, first, last = list[list[list[Array]]](), list[list[Array]](), [], []
+        moved, off, first, last = list[list[Moves]](), list[tuple[Array, Array]](), [], []
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
-            moves = [
-                [np.where(known, own[n, j], 0.0)[:, None] for own in (slopes, loop.bends) for j in (k, d + k)]
-                for n in range(d)
+            each = [
+                [np.where(known, own[n, j], 0.0) for own in (slopes, loop.bends) for j in (k, d + k)] for n in range(d)
             ]
-            moved.append(moves)
-            off.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
+            moved.append([Moves(*own) for own in each])
+            off.append((np.where(known, rho[k], 0.0), np.where(known, rho[d + k], 0.0)))
             away = near * ends[1, d + k] * (noises[k] is not None)
             start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(cells))
@@ -296,9 +223,11 @@ class Images:
             for k, own in enumerate(windows):
                 y, sigma = ends[:, k, some], ends[:, d + k, some]
                 axis, noise = edges[k][own.start : own.stop + 1], noises[k]
-                planes = Crossed.of(y, axis) if noise is None else Planes.of(y, sigma, axis, noise)
-                moves = [[each[some] for each in direction] for direction in moved[k]]
-                weights.append(Weights.of(planes, moves, [each[some] for each in off[k]]))
+                moves, (of_y, of_sigma) = [each.of(some) for each in moved[k]], off[k]
+                rest = moves, (of_y[some], of_sigma[some])
+                weights.append(
+                    Weights.crossed(y, axis, *rest) if noise is None else Weights.noisy(y, sigma, axis, noise, *rest)
+                )
                 if noise is not None and own.start > 0:
                     beyond[some] += noise.beyond(y[0] - axis[0], sigma[1], -1)
                 if noise is not None and own.stop < cells[k]:
@@ -312,7 +241,7 @@ class Images:
         always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
         for places, windows, weights in self.blocks:
             near = [axis[own.start : own.stop + 1] for axis, own in zip(self.edges, windows, strict=True)]
-            always[places], bends[:, places] = _cost(_part(W, windows), near, weights, largest)
+            always[places], bends[:, places] = second_derivatives(_part(W, windows), near, weights, largest)
         return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
 
 
@@ -320,55 +249,6 @@ def _sizes(sizes: Array, noises: Sequence[Noise | None]) -> Array:
     """Return sizes (d, V), which may have either sign where noise is the same to both sides; else nan."""
     allowed = np.array([noise is None or noise.is_even for noise in noises])
     return np.where(allowed[:, None] | (sizes >= 0.0), np.abs(sizes), np.nan)
-
-
-def _cost(
-    W: Array,
-    edges: Sequence[Array],
-    weights: Sequence[Weights],
-    largest: float,
-) -> tuple[Array, Array]:
-    """Return what ``off`` may cost (M,), and second derivatives along each axis (d, M), for the cells of a block."""
-    # What each feature is rounded by, as a share of the largest number.
-    grain = [
-        np.repeat([4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1])
-        for axis in edges
-    ]
-    d, n = W.ndim, len(weights[0].mass)
-    always, bends = np.zeros(n), np.zeros((d, n))
-    for i in range(d):
-        signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
-        size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
-        upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
-        upward = upward + 64.0 * U * largest * grain[i][0]
-        masses = [weights[k].mass for k in others]
-        table = _rounded_up(np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1))
-        bends += contracted(table, masses, [(own,) for own in weights[i].seconds])
-        always += contracted(table[..., len(edges[i]) :], masses, [(weights[i].off,)])[0]
-        for j in range(i + 1, d):
-            both = np.abs(_features(signed, j, edges[j]))
-            both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
-            rest = [k for k in others if k != j]
-            table = _rounded_up(np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1)))
-            pairs = [*zip(weights[i].firsts, weights[j].firsts, strict=True)]
-            bends += 2.0 * contracted(table, [weights[k].mass for k in rest], pairs)
-    # sums of numbers that are not negative, in single precision, and what is too small for it
-    count = sum(own.seconds[0].shape[1] for own in weights) + 16
-    return always * (1.0 + count * 2.0**-23) + TINY, bends * (1.0 + count * 2.0**-23) + TINY
-
-
-def _rounded_up(table: Array) -> Singles:
-    """Return numbers in single precision that are no smaller: 0, or at least LEAST, whose products stay normal.
-
-    Products with subnormal numbers take a hundred times as long.
-    """
-    with np.errstate(over="ignore"):
-        above = np.nextafter(table.astype(np.float32), np.float32(np.inf))
-    return np.where(table == 0.0, np.float32(0.0), np.maximum(above, LEAST))
-
-
-def _along(numbers: Array, k: int, d: int) -> Array:
-    return numbers.reshape([-1 if axis == k else 1 for axis in range(d)])
 
 
 def hats_at(points: Array, sizes: Array, axis: Array, noise: Noise | None) -> tuple[Array, float]:
@@ -385,70 +265,3 @@ def hats_at(points: Array, sizes: Array, axis: Array, noise: Noise | None) -> tu
     table[np.arange(len(points)), 2 * place] = 1.0 - share
     table[np.arange(len(points)), 2 * place + 1] = share
     return table, 16.0 * U * (2.0 + float(np.abs(axis).max() / np.diff(axis).min()))
-
-
-@dataclass(frozen=True, eq=False)
-class Planes:
-    """Planes of an axis as seen from images, for sizes of the noise of at least ``least`` (S, 1) (``noise``)."""
-
-    seen: Seen
-    least: Array
-    mean_size: float
-
-    @classmethod
-    def of(cls, y: Array, sigma: Array, axis: Array, noise: Noise) -> Planes:
-        """Return planes as seen from y and sigma between ends (2, S)."""
-        low, high, least, most = y[0][:, None], y[1][:, None], sigma[0][:, None], sigma[1][:, None]
-        return cls(noise.seen(down(axis - high), up(axis - low), least, most), least, noise.mean_size)
-
-    @property
-    def mass(self) -> Array:
-        """Largest probabilities of intervals (S, n)."""
-        return self.seen.mass
-
-    def first(self, y: Array, sigma: Array) -> Array:
-        """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
-        mass, (dens, tau, _), _, rest, _ = self.seen
-        return np.concatenate([rest * sigma, (dens * y + tau * sigma) / self.least, mass * y], axis=1)
-
-    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
-        """Return weights (S, 4 n + 3) of kinks upward and of features in size, for derivatives up to these (S, 1)."""
-        mass, (dens, tau, square), slope, rest, leaps = self.seen
-        upward = (dens * y * y + 2.0 * tau * y * sigma + square * sigma * sigma) / self.least
-        upward = np.minimum(upward, 2.0 * (y + bend + self.mean_size * (sigma + bend_of_sigma)))
-        jumps = (slope[0] * y * y + 2.0 * slope[1] * y * sigma + slope[2] * sigma * sigma) / self.least
-        jumps = (jumps + 2.0 * sigma * (dens * y + tau * sigma) / self.least + dens * bend + tau * bend_of_sigma) / (
-            self.least
-        )
-        if leaps is not None:
-            # Where f jumps S has a kink in tau, whose derivatives are these.
-            leap, far = leaps
-            once = (y + far * sigma) / self.least
-            jumps = jumps + 2.0 * leap * (
-                once + (bend + far * bend_of_sigma) / self.least + 2.0 * sigma / self.least * once
-            )
-        return np.concatenate([upward, rest * bend_of_sigma, jumps, mass * bend], axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class Crossed:
-    """Planes of an axis without noise: intervals that images meet, as masses (S, n), and planes (S, n + 1)."""
-
-    mass: Array
-    met: Array
-
-    @classmethod
-    def of(cls, y: Array, axis: Array) -> Crossed:
-        """Return what means between ends (2, S) meet."""
-        met = (axis <= y[1][:, None]) & (axis >= y[0][:, None])
-        return cls(((axis[:-1] <= y[1][:, None]) & (axis[1:] >= y[0][:, None])).astype(float), met.astype(float))
-
-    def first(self, y: Array, sigma: Array) -> Array:
-        """Return weights (S, 3 n + 2) of features in size; there are no jumps."""
-        none = np.zeros_like(self.met)
-        return np.concatenate([none, none, self.mass * y], axis=1)
-
-    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
-        """Return weights (S, 4 n + 3): a kink costs a quarter of what y moves, as a bend of twice that does."""
-        none = np.zeros_like(self.met)
-        return np.concatenate([2.0 * self.met * (y + bend), none, none, self.mass * bend], axis=1)

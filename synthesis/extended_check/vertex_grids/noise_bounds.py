@@ -39,8 +39,8 @@ MOVED = 1e-13  # far more than what a distribution function changes by where its
 class Seen(NamedTuple):
     """Upper bounds (S, n + 1) at planes, and ``mass`` (S, n), probabilities of intervals.
 
-    ``dens`` and ``slope`` are three each: of |tau|^p f and |tau|^p |f'|; ``rest`` is that of |R|. ``leaps`` are jumps
-    of f and the largest |tau|, or None where there are none.
+    ``dens`` and ``slope`` are of |tau|^p f and |tau|^p |f'|, for p = 0 and, where sizes vary, 1 and 2; ``rest`` is that
+    of |R|. ``leaps`` are jumps of f and the largest |tau|, or None where there are none.
     """
 
     mass: Array
@@ -55,18 +55,19 @@ class Normal:
 
     is_even = True
     mean_size = deviation = 1.0  # E |w| at most
+    largest = 0.25, 0.4  # tau f and R at most
 
-    def seen(self, before: Array, after: Array, least: Array, most: Array) -> Seen:
+    def seen(self, before: Array, after: Array, least: Array, most: Array, is_sized: bool = True) -> Seen:
         """Return what planes with e - y between ``before`` and ``after`` are worth, for sizes from least to most."""
         near = np.maximum(np.maximum(before, -after), 0.0) / most * (1.0 - 4.0 * U)
         far = np.maximum(np.abs(before), np.abs(after)) / least * (1.0 + 4.0 * U)
         table, powers = _densities(), []
-        for p in range(4):
+        for p in range(4 if is_sized else 2):
             # t^p phi(t) rises up to the root of p, and falls after it
             t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
             powers.append(table[p][(t * FINE).astype(np.int64)])
         # f' = -t f, and R = f
-        return Seen(_masses(before, after, least, most), powers[:3], powers[1:], powers[0], None)
+        return Seen(_masses(before, after, least, most), powers[:-1], powers[1:], powers[0], None)
 
     def hats(self, points: Array, sizes: Array, axis: Array) -> tuple[Array, float]:
         """Return means (V, 2 n) of both hats of all intervals around points, and what a row lacks at most."""
@@ -139,13 +140,15 @@ class Tabled:
         square = (self.deviation**2 + self.mean**2) * OUTWARD
         self.mean_size = max(1.0, math.sqrt(square))
         rest = np.minimum(np.sqrt(square * self.high), np.sqrt(square * (1.0 - self.low)) + self.mean)
-        table = np.stack([own * size**p for own in (dens, slope) for p in range(3)] + [rest], axis=1) * OUTWARD
+        table = np.stack([own * size**p for p in range(3) for own in (dens, slope)] + [rest], axis=1) * OUTWARD
+        self.largest = float(table[:, 2].max()), float(rest.max()) * OUTWARD  # tau f and R at most
         # The largest numbers of 1, 2, 4 .. bins.
         levels = [table]
         while 2 ** len(levels) <= len(table):
             last, step = levels[-1], 2 ** (len(levels) - 1)
             levels.append(np.concatenate([np.maximum(last[:-step], last[step:]), last[-step:]]))
-        self.largest = np.concatenate(levels)
+        self.on_ranges = np.concatenate(levels)
+        self.of_one_size = self.on_ranges[:, :2].copy()
         self.jumps = [(at / unit, jump * unit * OUTWARD) for at, jump in _jumps(law)]
         # Integrals of S from the first point on, added up as whole numbers of 2^-52, and what they are off by.
         self.fine = np.arange(-WIDEST * BIN * PARTS, WIDEST * BIN * PARTS + 1) / (BIN * PARTS)
@@ -175,7 +178,7 @@ class Tabled:
         value = 1.0 - probability_below(self.law, t * self.unit)
         return np.clip(value - self.off, 0.0, 1.0), np.clip(value + self.off, 0.0, 1.0)
 
-    def seen(self, before: Array, after: Array, least: Array, most: Array) -> Seen:
+    def seen(self, before: Array, after: Array, least: Array, most: Array, is_sized: bool = True) -> Seen:
         """Return what planes with e - y between ``before`` and ``after`` are worth, for sizes from least to most."""
         low, high = before / np.where(before < 0.0, least, most), after / np.where(after > 0.0, least, most)
         low, high = low - 4.0 * U * np.abs(low), high + 4.0 * U * np.abs(high)
@@ -184,15 +187,16 @@ class Tabled:
             for own in (low, high)
         )
         level = np.frexp(last - first + 1)[1] - 1
-        start = level * (len(self.points) + 1)
-        numbers = np.maximum(self.largest[start + first], self.largest[start + last - 2**level + 1])
-        dens, slope = ([numbers[..., p + q] for p in range(3)] for q in (0, 3))
+        start, table = level * (len(self.points) + 1), self.on_ranges if is_sized else self.of_one_size
+        either = np.maximum(table[start + first], table[start + last - 2**level + 1])
+        numbers = [*np.ascontiguousarray(np.moveaxis(either, -1, 0))]
+        dens, slope, rest = numbers[:6:2], numbers[1:6:2], numbers[-1]
         mass = np.clip(self.high[first[:, :-1]] - self.low[last[:, 1:]] + 4.0 * U, 0.0, 1.0)
         leaps = None
         if self.jumps:
             each = [np.where((low <= at) & (at <= high), jump, 0.0) for at, jump in self.jumps]
             leaps = np.sum(each, axis=0), np.maximum(np.abs(low), np.abs(high))
-        return Seen(mass, dens, slope, numbers[..., 6], leaps)
+        return Seen(mass, dens, slope, rest, leaps)
 
     def hats(self, points: Array, sizes: Array, axis: Array) -> tuple[Array, float]:
         """Return means (V, 2 n) of both hats of all intervals around points, and what a row lacks at most."""
