@@ -14,8 +14,12 @@ from ...trajectories.planning import CountedWork
 ONCE = 1e-3
 """Work of anything that is done once in an automaton state and a step, however few vertices there are."""
 
-WEIGHT, PRODUCT = 6e-8, 4.5e-11
+WEIGHT, PRODUCT = 7e-8, 6e-11
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
+
+ON_LATTICE, PAIRS = 1.0, 2.0
+"""Powers of the number of vertices with which work grows: what is looked up at points of a lattice, that are as dense
+whatever the cells are; and what cells have to do with all cells that are near."""
 
 
 class BrokenOff(Exception):
@@ -25,7 +29,6 @@ class BrokenOff(Exception):
 class Counted(Backups):
     """Backups that count their work, in core seconds."""
 
-    spent = 0.0
     work = CountedWork()
 
     def within(self, work: CountedWork) -> Self:
@@ -33,37 +36,52 @@ class Counted(Backups):
         self.work = work
         return self
 
-    def count(self, work: float) -> None:
-        """Count work; raise BrokenOff where what was found so far has to do."""
-        self.spent += work
+    @property
+    def spent(self) -> float:
+        """The work so far."""
+        return sum(self.parts.values())
+
+    def grown(self, more: float) -> float:
+        """Return about the work of the same with so many times as many vertices."""
+        return sum(work * more**power for power, work in self.parts.items())
+
+    def count(self, work: float, power: float = 1.0) -> None:
+        """Count work, which grows with a power of the vertices; raise BrokenOff where what was found has to do."""
+        self.parts[power] = self.parts.get(power, 0.0) + work
         self.work.count(work)
         if self.work.is_broken_off():
             raise BrokenOff
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.parts = dict[float, float]()  # work by the power with which it grows
         self.bent = np.full(len(self.edges), 1e-300)  # what is charged along each axis where values are high
 
     def image_of(self, inputs: FloatArray, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
         images = super().image_of(inputs, t)
-        self.count(WEIGHT * images.size)
+        # each vertex and cell, along each axis all that is near
+        self.count(WEIGHT * images.size, 1.0 + 1.0 / len(self.edges))
         return images
 
     def below(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
         if not W.any():
             return np.zeros([n + 1 for n in self.shape]), np.ones(self.shape, dtype=bool)
-        self.count(ONCE + PRODUCT * images.work())
+        self._count_bounds(images)
         values, nothing = super().below(W, images)
         self._add_bends(np.where(nothing, 0.0, self._corner_means(values)))
         return values, nothing
 
     def measure(self, W: FloatArray, means: FloatArray, images: Images | LatticeImages) -> None:
         """Look at what would be charged if numbers of which nothing was charged were bounds, as means (V,) are."""
-        self.count(ONCE + PRODUCT * images.work())
+        self._count_bounds(images)
         self.charge(W, images)
         self._add_bends(self._corner_means(means))
+
+    def _count_bounds(self, images: Images | LatticeImages) -> None:
+        self.count(ONCE, 0.0)
+        self.count(PRODUCT * images.work(), PAIRS if isinstance(images, Images) else ON_LATTICE)
 
     def _corner_means(self, values: FloatArray) -> FloatArray:
         return np.asarray(corners_of(values, len(self.shape)).reshape(*self.shape, -1).mean(axis=-1))

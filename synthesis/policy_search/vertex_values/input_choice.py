@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...extended_check.vertex_grids import Noise, Normal, hats_at, images_at, names_time, vertices_of
+from ...extended_check.vertex_grids import Bands, Noise, Normal, hats_at, images_at, names_time, vertices_of
 from ...relations.grids import FloatArray
 from .counted_backups import ONCE, Counted
 from .sampled_runs import RUNS, Runs
@@ -56,6 +56,9 @@ MOST_TRIED = 40
 
 LEAST_FAILURE = 1e-7
 """Failure below which none is aimed at."""
+
+FAINT = 1e-14
+"""Weights of noise that count as none."""
 
 NO_DIFFERENCE = 1e-11
 """Differences of means that count as none."""
@@ -129,7 +132,8 @@ class Choice:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         table = reading.means(W).reshape(*[self.count] * self.m, -1)
-        self.steps.count(READ * table.size + ONCE)
+        self.steps.count(READ * table.size)
+        self.steps.count(ONCE, 0.0)
         known = list(dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]]))
         means = self._under(table, known)
         # The best inputs of all vertices without regard to neighbours are no worse than those that are looked for.
@@ -296,7 +300,8 @@ class Reading:
     def __init__(self, images: FloatArray, edges: tuple[FloatArray, ...], noises: Sequence[Noise | None]) -> None:
         d, noisy = len(edges), [noise is not None for noise in noises]
         y, sizes = np.nan_to_num(images[:d]), np.nan_to_num(np.abs(images[d:]))
-        self.smoothing, places, parts = list[FloatArray](), list[NDArray[np.int64]](), list[FloatArray]()
+        self.smoothing, places, parts = list[Bands](), list[NDArray[np.int64]](), list[FloatArray]()
+        shape = list[int]()
         for k, axis in enumerate(edges):
             # Sizes of the noise, as many as their range asks for, and points of a lattice, beyond the edges, too.
             # Noise that is small beside the narrowest cell is as good as none.
@@ -310,7 +315,9 @@ class Reading:
             tables = np.empty((len(levels), len(lattice), 2 * (len(axis) - 1)))
             for table, own in zip(tables, levels, strict=True):
                 table[:] = _hats(lattice, axis, own, noises[k])
-            self.smoothing.append(tables)
+            rows = tables.reshape(-1, tables.shape[2])
+            self.smoothing.append(Bands.of(np.where(rows > FAINT, rows, 0.0)))
+            shape += [len(levels), len(lattice)]
             for numbers, points in ((np.log(np.maximum(sizes[k], least)), np.log(levels)), (y[k], lattice)):
                 below = np.clip(np.searchsorted(points, numbers, side="right") - 1, 0, max(len(points) - 2, 0))
                 above = np.minimum(below + 1, len(points) - 1)
@@ -320,22 +327,20 @@ class Reading:
                 parts.append(np.stack([1.0 - share, share]))
             # without noise what is beyond the edges is lost
             parts[-1] *= noisy[k] | ((axis[0] <= y[k]) & (y[k] <= axis[-1]))
-        self.shape = tuple(n for own in self.smoothing for n in own.shape[:2])
         # Of all corners those that any image has a share of.
         self.corners = []
         for corner in itertools.product((0, 1), repeat=2 * d):
             weight = math.prod(part[c] for part, c in zip(parts, corner, strict=True))
             if np.any(weight):
-                place = np.ravel_multi_index([own[c] for own, c in zip(places, corner, strict=True)], self.shape)
+                place = np.ravel_multi_index([own[c] for own, c in zip(places, corner, strict=True)], tuple(shape))
                 self.corners.append((place, weight))
 
     def means(self, W: FloatArray) -> FloatArray:
         """Return means (N,) of numbers (2 n_1, ..) at both ends of all intervals."""
-        table = W
+        # one axis after the other, to (sizes times points, ..)
         for k, own in enumerate(self.smoothing):
-            # (.., 2 n_k, ..) -> (.., sizes, points, ..)
-            table = np.moveaxis(np.tensordot(own, table, axes=(2, 2 * k)), (0, 1), (2 * k, 2 * k + 1))
-        flat = table.ravel()
+            W = own.along(W, k)
+        flat = W.ravel()
         return np.sum([weight * flat[place] for place, weight in self.corners], axis=0)
 
 

@@ -23,6 +23,9 @@ deviations it is wider than that."""
 UNSEEN = 3
 """Failures that runs may have missed: so many are expected at most where none is seen, with a probability of 95 %."""
 
+WORSE = 1.5
+"""Times as much failure that later runs may have."""
+
 
 @dataclass(eq=False)
 class Runs:
@@ -58,6 +61,12 @@ class Runs:
             each.append(q)
         missed = int(np.sum(~np.array(automaton.accepting)[q]))
         return cls(np.stack(states), np.stack(each), min(failure, (missed + UNSEEN) / RUNS))
+
+    def or_better(self, other: Runs) -> Runs:
+        """Return other runs, unless they fail much more often: those of grids that are too wide lead elsewhere."""
+        if other.failure > WORSE * self.failure:
+            return self
+        return Runs(other.states, other.q, min(self.failure, other.failure))
 
     @classmethod
     def under(cls, problem: Problem, controller: Any) -> Runs:

@@ -44,13 +44,13 @@ FINER_STEPS, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 0.0
 MOST_VERTICES = {1: 2e3, 2: 3e4, 3: 3e4, 4: 3e4}
 """Vertices of the finest grid, by the number of states: on a line each looks at all others."""
 
-GROWS, MARGIN, MOST_GROWS = 1.25, 0.1, 1.45
-"""Power of the number of vertices with which work grows, before it is known; how much more than from the grid before to
-the last one it grows by, and the most."""
+GROWS, MORE = 1.25, 1.2
+"""Power of the number of vertices with which work grows, before it is known of what kind it is; how much more work the
+next grid is than what the kinds of the one before say: it has a few more laws."""
 
-ADJUSTED, MOST_ADJUSTED = 0.25, (0.5, 2.0)
+ADJUSTED, MOST_ADJUSTED = 0.5, (0.5, 2.0)
 """Power of what is charged along an axis, beside the others, by which its share of cells changes from one grid to the
-next (1/2 would balance it at once, if it were known well), and by how much at most."""
+next, and by how much at most: what is charged falls with the square of the number of cells."""
 
 BEYOND = 3.0
 """Deviations by which a lattice goes beyond the window where runs pass."""
@@ -146,7 +146,6 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
         full, vertices = alive, float(np.clip(narrow, vertices, most))
     refuse_small_noise(spreads, full)
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
-    power, before = GROWS, None
     try:
         runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
         aim = AIMS[0]
@@ -160,7 +159,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
-            runs = Runs.of(steps, inputs, laws, min(runs.failure, hoped))
+            runs = runs.or_better(Runs.of(steps, inputs, laws, hoped))
             aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
@@ -169,11 +168,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 )
                 work.tell(failure)
             each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-            if before is not None:
-                grown = np.log(steps.spent / before[0]) / np.log(vertices / before[1])
-                power = float(np.clip(grown + MARGIN, 1.0, MOST_GROWS))
-            before = steps.spent, vertices
-            more = next((own for own in each if work.allows(steps.spent * min(own, most / vertices) ** power)), None)
+            more = next((own for own in each if work.allows(MORE * steps.grown(min(own, most / vertices)))), None)
             if failure < ENOUGH or slow or more is None or vertices >= most:
                 break
             vertices = min(vertices * float(more), most)
