@@ -1,6 +1,6 @@
 """Value iteration on grids whose vertices have inputs: its check, on the checker's intervals, jets and tables."""
 
-from .backups import FARTHEST, NEAR, Backups, failure_of
+from .backups import FARTHEST, KEPT, NEAR, Backups, failure_of
 from .bands import Bands
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
@@ -9,6 +9,7 @@ from .noise_bounds import Noise, Normal
 
 __all__ = [
     "FARTHEST",
+    "KEPT",
     "NEAR",
     "Backups",
     "Bands",

@@ -54,7 +54,7 @@ from .images import Images
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
 
-KEPT = 4e7  # numbers of images that are kept
+KEPT = 6e7  # numbers of images that are kept
 NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
 FARTHEST = 30.0  # the most of them
 FINEST = 1e6  # how many sides of a cell the ends of an axis may be away from 0
@@ -202,14 +202,17 @@ class Backups:
     def images_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead, made once where that does not depend on the time."""
         key = t if names_time(self.agent) else 0, inputs.tobytes()
-        if key not in self.images:
+        found = self.images.pop(key, None)
+        if found is None:
             low, high = self.agent.input_box
             if not np.all((low <= inputs) & (inputs <= high)):
                 raise Refused("an input at a vertex is outside its box")
-            if sum(own.size for own in self.images.values()) > KEPT:
-                self.images.clear()
-            self.images[key] = self.image_of(inputs, t)
-        return self.images[key]
+            found = self.image_of(inputs, t)
+            # those that were used longest ago go first
+            while self.images and found.size + sum(own.size for own in self.images.values()) > KEPT:
+                del self.images[next(iter(self.images))]
+        self.images[key] = found
+        return found
 
     def image_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...extended_check.vertex_grids import Backups, Images, LatticeImages, corners_of
+from ...extended_check.vertex_grids import KEPT, Backups, Images, LatticeImages, corners_of
 from ...relations.grids import FloatArray
 from ...trajectories.planning import CountedWork
 
@@ -20,6 +20,10 @@ WEIGHT, PRODUCT = 7e-8, 6e-11
 ON_LATTICE, PAIRS = 1.0, 2.0
 """Powers of the number of vertices with which work grows: what is looked up at points of a lattice, that are as dense
 whatever the cells are; and what cells have to do with all cells that are near."""
+
+
+MORE_LAWS = 1.7
+"""Times as many laws as there are on the grid before: where each of them leads has to be made."""
 
 
 class BrokenOff(Exception):
@@ -41,9 +45,19 @@ class Counted(Backups):
         """The work so far."""
         return sum(self.parts.values())
 
-    def grown(self, more: float) -> float:
-        """Return about the work of the same with so many times as many vertices."""
-        return sum(work * more**power for power, work in self.parts.items())
+    def grown(self, more: float, laws: NDArray[np.int64]) -> float:
+        """Return about the work of the same with so many times as many vertices, for laws (T, Q) as here."""
+        each = [len(set(now[here].tolist())) for now, here in zip(laws, self.reached, strict=False)]
+        largest = max((own.size for own in self.images.values()), default=0) * more**self._power
+        # where those of one time are too many to be kept they are made anew at every time
+        is_kept = max(each) * largest <= KEPT
+        images = {self._power: MORE_LAWS if is_kept else sum(each) / (1.0 + laws.max())}
+        return sum(work * images.get(power, 1.0) * more**power for power, work in self.parts.items())
+
+    @property
+    def _power(self) -> float:
+        """The power with which work of images grows: each vertex and cell sees what is near along each axis."""
+        return 1.0 + 1.0 / len(self.edges)
 
     def count(self, work: float, power: float = 1.0) -> None:
         """Count work, which grows with a power of the vertices; raise BrokenOff where what was found has to do."""
@@ -60,8 +74,7 @@ class Counted(Backups):
     def image_of(self, inputs: FloatArray, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
         images = super().image_of(inputs, t)
-        # each vertex and cell, along each axis all that is near
-        self.count(WEIGHT * images.size, 1.0 + 1.0 / len(self.edges))
+        self.count(WEIGHT * images.size, self._power)
         return images
 
     def below(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, NDArray[np.bool_]]:

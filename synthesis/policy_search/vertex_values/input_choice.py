@@ -33,8 +33,8 @@ SWEEPS, COARSEST, LEVELLED = 20, 6, 0.01
 next one, and so on; the fewest vertices of the longest axis on a level; and how much squares cost on all levels but the
 finest, as a share: enough where values say nothing."""
 
-FINE_SIZES = 0.4
-"""Logarithm of the ratio of sizes of the noise between which means are interpolated, at most."""
+FINE_SIZES = 0.25
+"""Logarithm of the ratio of sizes of the noise for which there are tables, at most; the nearest one counts."""
 
 AS_NONE = 0.2
 """Share of the narrowest cell below which noise counts as so small, where inputs are looked for."""
@@ -42,8 +42,9 @@ AS_NONE = 0.2
 FINE_CELLS = 0.7
 """Deviations that cells are wide at least where means are interpolated between the middle of a cell and its ends."""
 
-READ = 6e-7
-"""Work of a mean that is read, in core seconds."""
+READ, SUMMED, SMOOTHED = 1.2e-7, 1e-10, (3e-3, 2e-6)
+"""Work of a mean that is read, of a product in sums around points of a lattice, and of inputs that are adjusted to
+those of their neighbours: once, and at each vertex, in core seconds."""
 
 SAME = 5e-3
 """A law that is known acts where new inputs take off at most this share of the failure at any vertex."""
@@ -72,9 +73,9 @@ the wider a cell the more; values that are nearly 1 say little of inputs, and le
 class Choice:
     """Inputs at all vertices of a grid, in shares of their ranges, and values under them: good guesses, no bounds.
 
-    Means around points of a lattice are sums along one axis after the other, for some sizes of the noise; in between
-    they are interpolated. The noise is taken to be larger where cells are wide, but on coarse grids, on which nothing
-    is charged.
+    Means around points of a lattice are sums along one axis after the other, for some sizes of the noise, the nearest
+    of which counts; between points they are interpolated. The noise is taken to be larger where cells are wide, but on
+    coarse grids, on which nothing is charged.
     """
 
     def __init__(self, steps: Counted, runs: Runs | None, aim: float = 0.0, is_coarse: bool = False) -> None:
@@ -132,13 +133,15 @@ class Choice:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         table = reading.means(W).reshape(*[self.count] * self.m, -1)
-        self.steps.count(READ * table.size)
+        self.steps.count(READ * table.size + SUMMED * reading.products)
         self.steps.count(ONCE, 0.0)
         known = list(dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]]))
         means = self._under(table, known)
         # The best inputs of all vertices without regard to neighbours are no worse than those that are looked for.
         law = self._alike(table.reshape(-1, table.shape[-1]).max(axis=0), means, passing)
         if law is None:
+            self.steps.count(SMOOTHED[0], 0.0)
+            self.steps.count(SMOOTHED[1] * self.m * table.shape[-1])
             shares = self._smooth(table, apart)
             worth = self._read(table, shares)
             law = self._alike(worth, means, passing)
@@ -317,19 +320,23 @@ class Reading:
                 table[:] = _hats(lattice, axis, own, noises[k])
             rows = tables.reshape(-1, tables.shape[2])
             self.smoothing.append(Bands.of(np.where(rows > FAINT, rows, 0.0)))
-            shape += [len(levels), len(lattice)]
-            for numbers, points in ((np.log(np.maximum(sizes[k], least)), np.log(levels)), (y[k], lattice)):
-                below = np.clip(np.searchsorted(points, numbers, side="right") - 1, 0, max(len(points) - 2, 0))
-                above = np.minimum(below + 1, len(points) - 1)
-                width = np.maximum(points[above] - points[below], 1e-300)
-                places.append(np.stack([below, above]))
-                share = np.clip((numbers - points[below]) / width, 0.0, 1.0) * (above > below)
-                parts.append(np.stack([1.0 - share, share]))
+            shape.append(len(levels) * len(lattice))
+            nearest = np.abs(np.log(np.maximum(sizes[k], least))[:, None] - np.log(levels)).argmin(axis=1)
+            below = np.clip(np.searchsorted(lattice, y[k], side="right") - 1, 0, len(lattice) - 2)
+            share = np.clip((y[k] - lattice[below]) / (lattice[below + 1] - lattice[below]), 0.0, 1.0)
+            first = nearest * len(lattice) + below
+            places.append(np.stack([first, first + 1]))
+            parts.append(np.stack([1.0 - share, share]))
             # without noise what is beyond the edges is lost
             parts[-1] *= noisy[k] | ((axis[0] <= y[k]) & (y[k] <= axis[-1]))
+        # from (2 n_1, ..) to (sizes times points, ..), one axis after the other
+        ends = [2 * len(axis) - 2 for axis in edges]
+        self.products = sum(
+            own.size * math.prod(shape[:k]) * math.prod(ends[k + 1 :]) for k, own in enumerate(self.smoothing)
+        )
         # Of all corners those that any image has a share of.
         self.corners = []
-        for corner in itertools.product((0, 1), repeat=2 * d):
+        for corner in itertools.product((0, 1), repeat=d):
             weight = math.prod(part[c] for part, c in zip(parts, corner, strict=True))
             if np.any(weight):
                 place = np.ravel_multi_index([own[c] for own, c in zip(places, corner, strict=True)], tuple(shape))

@@ -38,15 +38,15 @@ more laws work would grow in a way that the grid before does not tell."""
 LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
 """Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
 
-FINER_STEPS, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 0.03
-"""How many times as many vertices the next grid has, as the work allows: the most, and 2.5 below a failure of POOR."""
+FINER_STEPS = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5])
+"""How many times as many vertices the next grid has, as the work allows."""
 
 MOST_VERTICES = {1: 2e3, 2: 3e4, 3: 3e4, 4: 3e4}
 """Vertices of the finest grid, by the number of states: on a line each looks at all others."""
 
-GROWS, MORE = 1.25, 1.2
+GROWS, MORE = 1.25, 1.1
 """Power of the number of vertices with which work grows, before it is known of what kind it is; how much more work the
-next grid is than what the kinds of the one before say: it has a few more laws."""
+next grid is than what the kinds of the one before say."""
 
 ADJUSTED, MOST_ADJUSTED = 0.5, (0.5, 2.0)
 """Power of what is charged along an axis, beside the others, by which its share of cells changes from one grid to the
@@ -167,11 +167,11 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                     edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
                 )
                 work.tell(failure)
-            each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-            more = next((own for own in each if work.allows(MORE * steps.grown(min(own, most / vertices)))), None)
+            each = [min(float(own), most / vertices) for own in FINER_STEPS]
+            more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
             if failure < ENOUGH or slow or more is None or vertices >= most:
                 break
-            vertices = min(vertices * float(more), most)
+            vertices *= more
     except KeyboardInterrupt:
         if best is None or best.failure >= 1.0:
             raise
@@ -210,7 +210,7 @@ def _first(vertices: float, window: FloatArray, spreads: FloatArray, spent: floa
     that are too wide to prove anything.
     """
     sure = float(np.prod(1.0 + (window[1] - window[0]) / (SURE_WIDTH * np.median(spreads, axis=1))))
-    coarse, left = COARSE[-1] * vertices, work.limit - work.spent
+    coarse, left = COARSE[-1] * vertices, max(0.0, work.limit - work.spent)
     if CHARGED * spent * (vertices / coarse) ** GROWS < DEAR * left:
         return vertices
     return max(vertices, min(sure, coarse * (left / (CHARGED * spent)) ** (1.0 / GROWS)))
