@@ -350,7 +350,7 @@ def test_tables_of_laws_bound_what_they_say(law: str) -> None:
     for p in range(3):
         # differences of differences: seen from both sides of corners, and rounded
         assert np.all(np.abs(fine) ** p * slope <= at.slope[p][:, 0] * (1.0 + 1e-3) + 2e-3 * (1.0 + np.abs(fine) ** p))
-    assert np.all(np.abs(rest) <= at.rest[:, 0] + 1e-3)
+    assert at.rest is not None and np.all(np.abs(rest) <= at.rest[:, 0] + 1e-3)
     assert np.all(table.beyond(np.abs(t), np.ones(100), 1) >= own.tails(np.abs(t) * table.unit)[1])
     assert np.all(table.beyond(np.abs(t), np.ones(100), -1) >= own.tails(-np.abs(t) * table.unit)[0])
     edges = np.linspace(-5.0, 5.0, 30) + 0.1 * rng.uniform(-1.0, 1.0, 30)
@@ -469,6 +469,23 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
         assert np.allclose(a, b, rtol=1e-9, atol=1e-9)
     # kinks are rounded by the width of the narrowest cell that is near
     assert np.allclose(many[2], one[2], rtol=1e-4, atol=1e-6)  # single precision, rounded up by the length of sums
+
+
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**27, 2.0**60])
+def test_units_of_states_change_nothing(unit: float) -> None:
+    name, each = "a state without noise", []
+    for scale in (1.0, unit):
+        own = {key: scale * np.array(DYNAMICS[name][key]) for key in ("state_low", "state_high", "noise_std")}
+        more = {"initial_state": [0.5 * scale] * 2, "input_low": [-scale], "input_high": [scale]}
+        goal = cg.Proposition("a", [-0.5 * scale] * 2, [0.5 * scale] * 2)
+        agent = cg.Agent(name="a", inputs=["u"], **{**DYNAMICS[name], **own, **more})
+        task = cg.Problem(name="p", agents=[agent], propositions={"goal": goal}, specification="F goal", horizon=6)
+        edges = tuple(np.linspace(a, b, 20) for a, b in zip(own["state_low"], own["state_high"], strict=True))
+        steps = Backups(read_problem({"problem": canonical_problem(task)}), edges, (True, True))
+        inputs = scale * np.random.default_rng(3).uniform(-1.0, 1.0, (400, 1))
+        seen = steps.images_of(inputs, 0)
+        each.append(seen.cost(np.random.default_rng(4).random((38, 38)))[1])
+    assert np.allclose(each[0], each[1], rtol=1e-5, atol=1e-12) and each[0].max() > 0.0
 
 
 def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:

@@ -43,6 +43,11 @@ class ClosedLoop:
     slopes: Array
     bends: Array
 
+    def over(self, units: Array) -> ClosedLoop:
+        """Return the same in units (d,) of each axis, powers of 2."""
+        both = np.tile(units, 2)[:, None]
+        return ClosedLoop(self.centre / both, self.rho / both, self.ends / both, self.slopes / both, self.bends / both)
+
 
 def corners_of(values: Array, d: int) -> Array:
     """Return numbers (.., 2, .., 2) at the corners of all cells, from a table (n_1 + 1, .., n_d + 1) of vertices."""

@@ -21,7 +21,7 @@ from ...checker.intervals import down, up
 from ...checker.rigorous import Array, U, Whole
 from .noise_bounds import Noise
 
-TINY = 1e-18  # more than what sums lose where products are too small for single precision
+LOST = 1e-20  # more than what sums of 2^22 products lose that are too small, 2^-150 each: weights are below 1e18
 LEAST = np.float32(1e-18)  # of numbers in single precision that are not 0
 ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
 AT_ONCE = 2**22  # numbers that are formed at once
@@ -93,7 +93,7 @@ class Weights:
         if seen.leaps is not None:
             leap, far = seen.leaps
             jumps += [leap / least, leap * far / least][: 1 + is_sized]
-        rest = rounded_up(seen.rest) if is_sized else None
+        rest = None if seen.rest is None else rounded_up(seen.rest)
         each = np.stack([rounded_up(own) for own in jumps])
         return cls(rounded_up(seen.mass), rest, each, upward, moves, off, sigma[0], noise.largest)
 
@@ -205,9 +205,9 @@ def second_derivatives(
             masses = [weights[k].mass for k in others if k != j]
             table = np.moveaxis(_largest_ends(both, [k for k in others if k != j]), (i, j), (-2, -1))
             bends += _mixed(rounded_up(table), (own, other), (mine, weights[j]), masses)
-    # sums of numbers that are not negative, in single precision, and what is too small for it
+    # sums of numbers that are not negative, in single precision
     count = sum(4 * len(axis) for axis in edges) + 16
-    return always * (1.0 + count * 2.0**-23) + TINY, bends * (1.0 + count * 2.0**-23) + TINY
+    return always * (1.0 + count * 2.0**-23), bends * (1.0 + count * 2.0**-23)
 
 
 def _single(
@@ -219,7 +219,7 @@ def _single(
     table = np.concatenate([upward, _since(size, i, own)], axis=i)
     total = contracted(rounded_up(np.moveaxis(_largest_ends(table, others), i, -1)), masses)
     kinks, rest = total[:, :count], total[:, count:]
-    slopes, jumps = (rest[:, own.slopes.start - own.start :], rest[:, own.jumps.start - own.start :])
+    slopes, jumps = rest[:, own.slopes.start - own.start :], rest[:, own.jumps.start - own.start :]
     each = [_rows(table[:, own.planes], jumps[:, : len(own.planes)]) for table in weights.jumps]
     A, least = each[0] + _rows(weights.mass, slopes), weights.least
     if weights.rest is None:
@@ -254,10 +254,8 @@ def _mixed(
     table: Singles, features: Sequence[Features], weights: Sequence[Weights], masses: Sequence[Singles]
 ) -> Array:
     """Return what mixed derivatives add to second ones (d, M), from a table (.., features, features)."""
-    n, (left, right) = (
-        len(weights[0].mass),
-        (own.first(each.planes) for own, each in zip(weights, features, strict=True)),
-    )
+    left, right = (own.first(each.planes) for own, each in zip(weights, features, strict=True))
+    n = len(weights[0].mass)
     result = np.zeros((len(left), len(right), n))
     for some in _parts(n, table[(0,) * len(masses)].size if masses else 0):
         total = contracted(table, [own[some] for own in masses]) if masses else table
@@ -297,9 +295,9 @@ def _product(weights: Singles, tables: Singles) -> Singles:
 
 
 def _rows(weights: Singles, numbers: Singles) -> Array:
-    """Return sums (M,) of rows, or of one for all, each number times its weight."""
+    """Return sums (M,) of rows, or of one for all, each number times its weight, and what they may lose at most."""
     sums = np.einsum("na,na->n", weights, numbers) if len(numbers) == len(weights) else weights @ numbers[0]
-    return sums.astype(float)
+    return sums.astype(float) + LOST
 
 
 def _largest_ends(table: Array, axes: Sequence[int]) -> Array:

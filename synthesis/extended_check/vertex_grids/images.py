@@ -19,6 +19,7 @@ from .closed_loops import ClosedLoop, corners_of
 from .features import ROUNDED, Moves, Weights, contracted, second_derivatives
 from .noise_bounds import Noise
 
+SMALLEST = 1e-8  # noise that cells are looked through has at least, in units of about a cell (``features.LOST``)
 BESIDE = 2e5  # products that a block of points costs beside its own
 
 
@@ -157,7 +158,7 @@ class Images:
     Attributes
     ----------
     edges : d arrays (n + 1,)
-        Those of the grid.
+        Those of the grid, over a unit of each axis, as all other lengths: a power of 2, about as long as a cell.
     vertices : Means
         Of W around the images of vertices.
     blocks : list of (places, windows, d of Weights)
@@ -193,6 +194,9 @@ class Images:
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
         """Return the images of a closed loop, which look ``near`` deviations of the noise far."""
         d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
+        # numbers in single precision that are very small count as more than they are, so none may be for its units
+        units = np.exp2(np.round(np.log2([float(np.median(np.diff(axis))) for axis in edges])))
+        edges, loop = tuple(axis / unit for axis, unit in zip(edges, units, strict=True)), loop.over(units)
         ends, size = loop.ends.copy(), _sizes(loop.centre[d:], noises)
         for k, noise in enumerate(noises, d):
             if noise is not None and noise.is_even:
@@ -202,7 +206,7 @@ class Images:
         rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, edges)
         known &= np.all(np.isfinite(rho), axis=0)
         for k, axis in enumerate(edges):
-            inside = ends[0, d + k] > 0.0 if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
+            inside = ends[0, d + k] > SMALLEST if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
         ends = np.where(known, ends, 1.0)
         moved, off, first, last = list[list[Moves]](), list[tuple[Array, Array]](), [], []

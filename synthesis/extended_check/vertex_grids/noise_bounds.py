@@ -40,13 +40,13 @@ class Seen(NamedTuple):
     """Upper bounds (S, n + 1) at planes, and ``mass`` (S, n), probabilities of intervals.
 
     ``dens`` and ``slope`` are of |tau|^p f and |tau|^p |f'|, for p = 0 and, where sizes vary, 1 and 2; ``rest`` is that
-    of |R|. ``leaps`` are jumps of f and the largest |tau|, or None where there are none.
+    of |R|, None where they do not. ``leaps`` are jumps of f and the largest |tau|, or None where there are none.
     """
 
     mass: Array
     dens: list[Array]
     slope: list[Array]
-    rest: Array
+    rest: Array | None
     leaps: tuple[Array, Array] | None
 
 
@@ -67,7 +67,7 @@ class Normal:
             t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
             powers.append(table[p][(t * FINE).astype(np.int64)])
         # f' = -t f, and R = f
-        return Seen(_masses(before, after, least, most), powers[:-1], powers[1:], powers[0], None)
+        return Seen(_masses(before, after, least, most), powers[:-1], powers[1:], powers[0] if is_sized else None, None)
 
     def hats(self, points: Array, sizes: Array, axis: Array) -> tuple[Array, float]:
         """Return means (V, 2 n) of both hats of all intervals around points, and what a row lacks at most."""
@@ -190,7 +190,7 @@ class Tabled:
         start, table = level * (len(self.points) + 1), self.on_ranges if is_sized else self.of_one_size
         either = np.maximum(table[start + first], table[start + last - 2**level + 1])
         numbers = [*np.ascontiguousarray(np.moveaxis(either, -1, 0))]
-        dens, slope, rest = numbers[:6:2], numbers[1:6:2], numbers[-1]
+        dens, slope, rest = numbers[:6:2], numbers[1:6:2], numbers[-1] if is_sized else None
         mass = np.clip(self.high[first[:, :-1]] - self.low[last[:, 1:]] + 4.0 * U, 0.0, 1.0)
         leaps = None
         if self.jumps:
