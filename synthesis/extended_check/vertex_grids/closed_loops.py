@@ -5,17 +5,22 @@ step leads to the *image* y(x): the means of the next state, and the size of the
 
 **Theorem.** (a) At a vertex y is within ``rho`` of ``centre``, whatever disturbances do and however inputs are rounded.
 (b) On a cell y lies between ``ends``, and along axis k, for any fixed disturbance and rounding, its first and second
-derivatives, times the side of the cell and its square, are at most ``slopes[k]`` and ``bends[k]`` in size.
+derivatives, times the side of the cell and its square, are at most ``slopes[k]`` and ``bends[k]`` in size. (c) Where a
+component of y has kinks (abs, min, max), (b) holds for the multilinear interpolation of its corners instead, and it is
+within ``off`` of that.
 
 *Proof.* Along axis k, u is linear: its slope is between those of the 2^(d-1) edges along that axis, and its second
 derivative is 0. So jets with the one direction k enclose y and both derivatives (``jets``). For (b) every point of a
-cell is reached from each corner along one axis after the other, so that all of these ranges hold, too. QED
+cell is reached from each corner along one axis after the other, so that all of these ranges hold, too. For (c) let
+difference quotients along an axis be in [l, u]: at the share s of the way a function is at most ``g(0) + u s`` and
+``g(1) - l (1 - s)``, so at most ``(u - l) s (1 - s)`` above its chord, and as little below. Interpolating along one
+axis after the other adds up ``(u - l) / 4``, or an eighth of second derivatives, and leaves the slopes of edges. QED
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -24,7 +29,7 @@ from ...checker.intervals import add, down, interval, mul, neg, up
 from ...checker.jets import Jet, Memory, jet
 from ...checker.motions import cell_boxes
 from ...checker.problem import Agent
-from ...checker.rigorous import Array
+from ...checker.rigorous import Array, U
 
 INPUT_OFF = 1e-9  # of the size of an input: by how much controllers may differ from the interpolation of vertices
 
@@ -33,8 +38,8 @@ INPUT_OFF = 1e-9  # of the size of an input: by how much controllers may differ 
 class ClosedLoop:
     """Images, means first and sizes after.
 
-    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and along each axis ends of
-    ``slopes`` (d, 2, 2 d, S), and sizes of ``bends`` (d, 2 d, S).
+    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S) and ``off`` (2 d, S), and along each
+    axis ends of ``slopes`` (d, 2, 2 d, S), and sizes of ``bends`` (d, 2 d, S).
     """
 
     centre: Array
@@ -42,11 +47,12 @@ class ClosedLoop:
     ends: Array
     slopes: Array
     bends: Array
+    off: Array
 
     def over(self, units: Array) -> ClosedLoop:
         """Return the same in units (d,) of each axis, powers of 2."""
         both = np.tile(units, 2)[:, None]
-        return ClosedLoop(self.centre / both, self.rho / both, self.ends / both, self.slopes / both, self.bends / both)
+        return ClosedLoop(*(getattr(self, own.name) / both for own in fields(self)))
 
 
 def corners_of(values: Array, d: int) -> Array:
@@ -93,7 +99,33 @@ def closed_loop(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int) -
             way = neg(slope) if side else slope
             reached = add(reached, np.stack([np.minimum(way[0], 0.0), np.maximum(way[1], 0.0)]))
         on_cells = np.stack([np.maximum(on_cells[0], reached[0]), np.minimum(on_cells[1], reached[1])])
-    return ClosedLoop(centre, rho, on_cells, np.stack(slopes), np.stack(bends))
+    rates, curves, off_chords = _across_kinks(np.stack(slopes), np.stack(bends), centre, rho, shape)
+    return ClosedLoop(centre, rho, on_cells, rates, curves, off_chords)
+
+
+def _across_kinks(
+    slopes: Array, bends: Array, centre: Array, rho: Array, shape: tuple[int, ...]
+) -> tuple[Array, Array, Array]:
+    """Return slopes, bends and ``off`` where components with kinks are interpolated from corners, by part (c)."""
+    d, wide = len(slopes), up(slopes[:, 1] - slopes[:, 0])
+    kinked = np.any(np.isnan(bends), axis=0) & np.all(np.isfinite(wide), axis=0)
+    if not kinked.any():
+        return slopes, bends, np.zeros(kinked.shape)
+    along = up(np.fmin(0.25 * wide, up(0.125 * bends)))
+    off = np.where(kinked, along.sum(axis=0) * (1.0 + d * U), 0.0)
+    slopes, values, errors = slopes.copy(), *(
+        np.stack([corners_of(own.reshape(shape), d).reshape(-1, *(2,) * d) for own in table]) for table in (centre, rho)
+    )
+    for k in range(d):
+        # what edges rise by, for the same disturbance and rounding at both ends
+        (first, last), (before, after) = (np.moveaxis(own, 2 + k, 0) for own in (values, errors))
+        less = up(before + after)
+        low, high = (own.reshape(*kinked.shape, -1) for own in (down(last - first), up(last - first)))
+        less = less.reshape(*kinked.shape, -1)
+        edges = down(low - less).min(axis=2), up(high + less).max(axis=2)
+        slopes[k, 0] = np.where(kinked, np.fmax(slopes[k, 0], edges[0]), slopes[k, 0])
+        slopes[k, 1] = np.where(kinked, np.fmin(slopes[k, 1], edges[1]), slopes[k, 1])
+    return slopes, np.where(kinked, 0.0, bends), off
 
 
 def images_at(agent: Agent, states: Array, inputs: Array, t: int) -> tuple[Array, Array]:

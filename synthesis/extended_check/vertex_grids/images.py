@@ -63,17 +63,20 @@ def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
     return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
 
 
-def with_vertices(ends: Array, at: Array, rho: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
-    """Return what images of vertices of cells may be off by (k, S), and ends (2, k, S) of images, theirs among them.
+def with_vertices(
+    ends: Array, at: Array, rho: Array, off: Array, edges: tuple[Array, ...]
+) -> tuple[Array, Array]:
+    """Return what images of cells and of their vertices may be off by (k, S), and ends (2, k, S), theirs among them.
 
-    What is read at a vertex, and where it may lead, belongs to the images of cells, too: ``at`` and ``rho`` (k, V).
+    What is read at a vertex, and where it may lead, belongs to the images of cells, too: ``at`` and ``rho`` (k, V);
+    ``off`` (k, S) is of cells alone.
     """
     shape, d = tuple(len(axis) for axis in edges), len(edges)
     largest, least, most = (
         np.stack([corners_of(own.reshape(shape), d).reshape(ends.shape[2], -1).max(axis=1) for own in table])
         for table in (rho, rho - at, at + rho)
     )
-    return largest, np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
+    return up(largest + off), np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
 
 
 def _part(W: Array, windows: tuple[slice, ...]) -> Array:
@@ -203,7 +206,7 @@ class Images:
                 ends[:, k] = np.where(ends[0, k] < 0.0, -ends[::-1, k], ends[:, k])
         slopes = np.abs(loop.slopes).max(axis=1)
         known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(slopes + loop.bends), axis=(0, 1))
-        rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, edges)
+        rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, loop.off, edges)
         known &= np.all(np.isfinite(rho), axis=0)
         for k, axis in enumerate(edges):
             inside = ends[0, d + k] > SMALLEST if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])

@@ -248,7 +248,7 @@ class LatticeImages:
     bends : (d, d, M) array
         By how much images may bend.
     rho : (d, M) array
-        What images of vertices may be off by.
+        What images of cells and of their vertices may be off by.
     """
 
     lattice: Lattice
@@ -268,7 +268,7 @@ class LatticeImages:
         d, edges, noisy = len(lattice.edges), lattice.edges, lattice.noisy
         known = np.all(np.isfinite(loop.ends), axis=(0, 1)) & np.all(np.isfinite(loop.bends), axis=(0, 1))
         known &= np.all(np.isfinite(loop.slopes), axis=(0, 1, 2))
-        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], edges)
+        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], loop.off[:d], edges)
         known &= np.all(np.isfinite(rho), axis=0) & np.all(np.isfinite(ends), axis=(0, 1))
         sizes = loop.ends[:, d:][:, noisy]
         known &= np.all(np.abs(sizes - lattice.deviation[noisy, None]) <= SAME * sizes[1], axis=(0, 1))
@@ -334,7 +334,9 @@ class LatticeImages:
         always = np.full(M, grain)
         for k in range(d):
             unit = tuple(int(e == k) for e in range(d))
-            first = _norm(unit if noisy[k] else (0,) * d, noisy, lattice.step) * largest[self._still(unit)] + grain
+            first = _norm(unit if noisy[k] else (0,) * d, noisy, lattice.step) * largest[self._still(unit)]
+            at_points = self._largest(np.abs(means.at(unit))) + self._between(unit) * rest[self._still(unit)]
+            first = np.minimum(first, at_points) + grain
             bends += self.bends[:, k] * first
             always += self.rho[k] * first
             if not noisy[k]:
