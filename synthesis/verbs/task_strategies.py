@@ -46,7 +46,7 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import has_corners, refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
+from ..policy_search.vertex_values import refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -432,11 +432,8 @@ def _is_for_paths(problem: Problem) -> bool:
 
 
 def _beside_vertices(problem: Problem, results: Results) -> str | None:
-    """Return why boxes are left out beside a grid of vertices, which knows little where dynamics have corners."""
-    found = results.get("vertices")
-    if found is None or (found.certificate.lower_bound < GOOD and has_corners(problem)):
-        return None
-    return "skipped: vertices bound values more closely than boxes do"
+    """Return why boxes are left out beside a grid of vertices."""
+    return "skipped: vertices bound values more closely than boxes do" if "vertices" in results else None
 
 
 def _tree_work(problem: Problem) -> float:

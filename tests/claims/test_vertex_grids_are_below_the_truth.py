@@ -23,6 +23,7 @@ from certigym.synthesis.extended_check.vertex_grids import (
     Lattice,
     LatticeImages,
     backups,
+    closed_loops,
     failure_of,
     features,
     images,
@@ -59,6 +60,14 @@ DYNAMICS: dict[str, dict[str, Any]] = {
     "two states that bend": {
         "states": ["x", "y"], "dynamics": ["0.4*x + 0.9*y*y", "0.5*y + 0.6*sin(3*x) + 0.3*u"], "noise_std": [0.1, 0.1],
         "state_low": [-1.2, -1.2], "state_high": [1.2, 1.2],
+    },
+    "two states with kinks": {
+        "states": ["x", "y"], "dynamics": ["max(x + 0.4*y - 0.5*u, -0.8)", "0.7*abs(y - x) - 0.3 + min(u, 0.3*x)"],
+        "noise_std": [0.03, 0.05], "state_low": [-1, -1], "state_high": [1, 1],
+    },
+    "noise with kinks, and none": {
+        "states": ["x", "y"], "dynamics": ["0.6*max(x, 0.7*y) - 0.1*abs(u)", "0.8*y + 0.2*u"], "noise_std": [0, 1],
+        "noise_scale": ["1.0", "max(0.05, 0.3*abs(x - y))"], "state_low": [-1, -1.2], "state_high": [1, 1],
     },
     "three states": {
         "states": ["x", "y", "z"], "dynamics": ["x + 0.1*y", "y + 0.2*z - 0.1*x*y", "0.8*z + 0.5*u"],
@@ -123,6 +132,7 @@ def simulated(name: str, steps: Backups, x: np.ndarray, u: np.ndarray) -> tuple[
                  and np.array_equal(own["state_low"], steps.agent.state_box[0])
                  and np.array_equal(own["state_high"], steps.agent.state_box[1]))  # fmt: skip
     names = {**dict(zip(given["states"], x, strict=True)), "u": u[0], "sin": np.sin, "cos": np.cos, "exp": np.exp}
+    names |= {"max": np.maximum, "min": np.minimum, "abs": np.abs}
     means = [eval(text.replace("^", "**"), {}, names) for text in given["dynamics"]]
     scale = given.get("noise_scale", ["1.0"] * len(x))
     units = [
@@ -182,7 +192,7 @@ def test_backups_are_below_the_truth(name: str, seed: int) -> None:
     assert len(found) > 100 and np.all(found <= true + 1e-13)
 
 
-OF_ONE_SIZE = ["two states", "two states that bend", "a state without noise", "three states"]
+OF_ONE_SIZE = ["two states", "two states with kinks", "two states that bend", "a state without noise", "three states"]
 
 
 @pytest.mark.parametrize("name", OF_ONE_SIZE)
@@ -191,6 +201,45 @@ OF_ONE_SIZE = ["two states", "two states that bend", "a state without noise", "t
 def test_backups_on_a_lattice_are_below_the_truth(name: str, seed: int, saddle: bool) -> None:
     found, true = below_and_true(name, seed, saddle, on_lattice=True)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
+
+
+KINKED = ["two states with kinks", "noise with kinks, and none"]
+
+
+@pytest.mark.parametrize("name", KINKED)
+def test_images_with_kinks_are_near_those_of_corners(name: str) -> None:
+    problem, edges, rng = on_grid(name, 5)
+    steps, at = Backups(problem, edges, (True, True)), closed_loops.vertices_of(edges)
+    inputs = np.clip(np.cos(rng.normal(size=(1, 2)) @ at).T + 0.1 * rng.normal(size=(at.shape[1], 1)), -1.0, 1.0)
+    loop = closed_loops.closed_loop(steps.agent, edges, inputs, 0)
+    x = np.stack([rng.uniform(axis[0], axis[-1], 200_000) for axis in edges])
+    cells = np.ravel_multi_index(tuple(np.searchsorted(a, b) - 1 for a, b in zip(edges, x, strict=True)), steps.shape)
+    means, sizes = simulated(steps.agent.name, steps, x, interpolated(edges, inputs, x))
+    missed = np.abs(np.concatenate([means, sizes]) - interpolated(edges, loop.centre.T, x))
+    bent = 0.125 * loop.bends.sum(axis=0)  # where nothing has a kink images bend
+    allowed = (loop.off + bent)[:, cells]
+    assert np.all(missed <= allowed + 1e-8)
+    kinked, sides = loop.off[:, cells] > 0.0, loop.centre.reshape(4, *(len(axis) for axis in edges))
+    assert np.max(missed[kinked] / allowed[kinked]) > 0.45  # one in two directions: half of what both may leave
+    for k in range(2):
+        rise = np.diff(sides, axis=1 + k)
+        each = np.stack([np.take(rise, range(own, rise.shape[2 - k] - 1 + own), axis=2 - k) for own in (0, 1)])
+        low, high = loop.slopes[k].reshape(2, 4, *steps.shape)
+        assert np.all(low <= each.min(axis=0) + 1e-8) and np.all(each.max(axis=0) <= high + 1e-8)
+
+
+@pytest.mark.parametrize("name", KINKED)
+def test_what_kinks_of_images_leave_is_charged(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    across = closed_loops._across_kinks
+
+    def exact(slopes: np.ndarray, bends: np.ndarray, *rest: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        own = across(slopes, bends, *rest)
+        assert np.any(own[2] > 0.0)
+        return own[0], own[1], 0.0 * own[2]
+
+    monkeypatch.setattr(closed_loops, "_across_kinks", exact)
+    pairs = (below_and_true(name, seed) for seed in range(8))
+    assert any(np.any(found > true + 1e-13) for found, true in pairs)
 
 
 @pytest.mark.parametrize("part", ["kinks", "terms", "slopes", "varies", "bends"])
@@ -229,7 +278,7 @@ def test_what_lies_between_points_is_noticed(is_whole: bool, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("name", "on_lattice"),
     [
-        *((name, True) for name in OF_ONE_SIZE if "without" not in name),
+        *((name, True) for name in OF_ONE_SIZE if "without" not in name and name not in KINKED),
         ("two states, noise by state and input", False),
         ("three states", False),
     ],

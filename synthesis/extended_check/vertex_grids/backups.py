@@ -152,11 +152,10 @@ class Backups:
         if laws is None and any(own.tail != NORMAL or own.mean or own.off or own.lost for own in agent.envelopes):
             raise Refused(f"the noise of `{agent.name}` is not normal, and nothing says which law it has")
         for row in agent.noise:
-            (source, *_), noisy = np.argsort(-np.abs(row)).tolist(), row.any()
-            result.append(
-                noise_of(None if laws is None else laws[source], agent.envelopes[source].deviation) if noisy else None
-            )
-            noise = result[-1]
+            source = int(np.argmax(np.abs(row)))
+            deviation = agent.envelopes[source].deviation if row.any() else 0.0
+            noise = noise_of(None if laws is None else laws[source], deviation) if deviation else None
+            result.append(noise)
             if noise is not None and not noise.is_even and row[source] < 0.0:
                 raise Refused(
                     f"`{agent.name}` has noise along an axis turned round, which is not the same to both sides"

@@ -113,8 +113,12 @@ def _across_kinks(
         return slopes, bends, np.zeros(kinked.shape)
     along = up(np.fmin(0.25 * wide, up(0.125 * bends)))
     off = np.where(kinked, along.sum(axis=0) * (1.0 + d * U), 0.0)
-    slopes, values, errors = slopes.copy(), *(
-        np.stack([corners_of(own.reshape(shape), d).reshape(-1, *(2,) * d) for own in table]) for table in (centre, rho)
+    slopes, values, errors = (
+        slopes.copy(),
+        *(
+            np.stack([corners_of(own.reshape(shape), d).reshape(-1, *(2,) * d) for own in table])
+            for table in (centre, rho)
+        ),
     )
     for k in range(d):
         # what edges rise by, for the same disturbance and rounding at both ends

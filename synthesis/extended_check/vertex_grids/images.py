@@ -63,9 +63,7 @@ def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
     return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
 
 
-def with_vertices(
-    ends: Array, at: Array, rho: Array, off: Array, edges: tuple[Array, ...]
-) -> tuple[Array, Array]:
+def with_vertices(ends: Array, at: Array, rho: Array, off: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
     """Return what images of cells and of their vertices may be off by (k, S), and ends (2, k, S), theirs among them.
 
     What is read at a vertex, and where it may lead, belongs to the images of cells, too: ``at`` and ``rho`` (k, V);

@@ -1,6 +1,5 @@
 """Value iteration on grids whose vertices have inputs: which grids, which inputs; values are the checker's own."""
 
-from .axis_edges import has_corners
 from .value_iteration import refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
 
-__all__ = ["has_corners", "refuse_vertex_grid", "refuse_without_guess", "vertex_grid_certificate"]
+__all__ = ["refuse_vertex_grid", "refuse_without_guess", "vertex_grid_certificate"]

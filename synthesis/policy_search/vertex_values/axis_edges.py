@@ -115,7 +115,7 @@ def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> F
 def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
     """Return the faces of regions across axis k that lie inside of the workspace, and where the dynamics have corners.
 
-    On a cell that has a corner inside nothing is known of second derivatives.
+    A cell that has a corner inside is charged for it.
     """
     agent = problem.agents[0]
     faces = set[float]()
@@ -127,16 +127,6 @@ def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
     low, high = agent.state_box[:, k].tolist()
     inside = [sorted(at for at in own if low < at < high)[:MOST_FACES] for own in (faces, corners)]
     return sorted({*inside[0], *inside[1]})
-
-
-def has_corners(problem: Problem) -> bool:
-    """Return whether dynamics of the agents have corners (abs, min, max, clip) anywhere."""
-    agents = read_problem({"problem": canonical_problem(problem)}).agents
-    return any(_turns(tree) for agent in agents for tree in (*agent.dynamics, *agent.scale))
-
-
-def _turns(tree: Any) -> bool:
-    return isinstance(tree, tuple) and (tree[0] in CORNERS or any(map(_turns, tree[1:])))
 
 
 def _corners(tree: Any, name: str) -> Iterator[float]:
