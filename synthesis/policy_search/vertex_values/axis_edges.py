@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.tasks.problem import Problem
-from ...certificates.proofs import canonical_problem
-from ...checker import CheckedProblem, plain_sum, read_problem
+from ...checker import CheckedProblem, plain_sum
 from ...extended_check.vertex_grids import images_at
 from ...relations.grids import FloatArray
 
