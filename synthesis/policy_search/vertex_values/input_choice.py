@@ -58,6 +58,12 @@ MOST_TRIED = 40
 LEAST_FAILURE = 1e-7
 """Failure below which none is aimed at."""
 
+MOST_TABLES = 8
+"""Tables of axes that are kept: a few for each, where sizes of the noise change in time."""
+
+IMAGES_AT_ONCE = 20_000
+"""Images that are computed at once, about."""
+
 FAINT = 1e-14
 """Weights of noise that count as none."""
 
@@ -92,6 +98,7 @@ class Choice:
         self.laws, self.between = list[FloatArray](), list[tuple[NDArray[np.int64], FloatArray]]()
         self._add(np.full((self.at.shape[1], self.m), 0.5))
         self.known: tuple[int, tuple[Reading, FloatArray]] | None = None
+        self.tables: Tables = {}
         self.levels = _levels([len(axis) for axis in steps.edges])
         # Widths of the cells beside a vertex.
         widths = [np.diff(axis) for axis in steps.edges]
@@ -232,7 +239,11 @@ class Choice:
         """Return readings at images of all inputs that are tried, and squares (V, m) of how far inputs lead apart."""
         steps, agent, n = self.steps, self.steps.agent, self.at.shape[1]
         if self.known is None or (names_time(agent) and self.known[0] != t):
-            images = [images_at(agent, self.at, np.repeat(own[None], n, axis=0), t)[0] for own in self.tried]
+            images = list[FloatArray]()
+            # as many inputs at once as make long arrays
+            for some in np.array_split(self.tried, -(-len(self.tried) * n // IMAGES_AT_ONCE)):
+                at, inputs = np.tile(self.at, len(some)), np.repeat(some, n, axis=0)
+                images += np.split(images_at(agent, at, inputs, t)[0], len(some), axis=1)
             d, apart = len(self.at), np.zeros((n, self.m))
             sizes = np.maximum(np.abs(np.nan_to_num(images[len(images) // 2][d:])), self.widths)
             means = np.stack([own[:d] for own in images]).reshape(*[self.count] * self.m, d, n)
@@ -246,7 +257,7 @@ class Choice:
                 where[d:] = np.sqrt(where[d:] ** 2 + self.crossed * across)
                 # what is charged at kinks along axes without noise is smeared, too
                 noises = [Normal() if own is None else own for own in noises]
-            self.known = t, (Reading(where, steps.edges, noises), apart)
+            self.known = t, (Reading(where, steps.edges, noises, self.tables), apart)
         return self.known[1]
 
 
@@ -297,31 +308,32 @@ def _across(means: FloatArray, edges: tuple[FloatArray, ...]) -> FloatArray:
     return result.reshape(d, -1)
 
 
-class Reading:
-    """Means of values around images (2 d, N), means first and sizes after: no bounds."""
+Tables = dict[tuple[int, float, float], tuple[FloatArray, FloatArray, Bands]]
+"""By axis, and the least and most of its sizes: sizes and points that means are read at, and weights of what is there.
+Images that move in time mostly have the same ones."""
 
-    def __init__(self, images: FloatArray, edges: tuple[FloatArray, ...], noises: Sequence[Noise | None]) -> None:
+
+class Reading:
+    """Means of values around images (2 d, N), means first and sizes after: no bounds. New ``tables`` are kept."""
+
+    def __init__(
+        self, images: FloatArray, edges: tuple[FloatArray, ...], noises: Sequence[Noise | None], tables: Tables
+    ) -> None:
         d, noisy = len(edges), [noise is not None for noise in noises]
         y, sizes = np.nan_to_num(images[:d]), np.nan_to_num(np.abs(images[d:]))
         self.smoothing, places, parts = list[Bands](), list[NDArray[np.int64]](), list[FloatArray]()
         shape = list[int]()
         for k, axis in enumerate(edges):
-            # Sizes of the noise, as many as their range asks for, and points of a lattice, beyond the edges, too.
-            # Noise that is small beside the narrowest cell is as good as none.
             least = max(sizes[k].min(), AS_NONE * np.diff(axis).min())
-            most = max(sizes[k].max(), least)
-            levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
-            away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * noisy[k]
-            # where cells are wide, in the middle of them, too
-            middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
-            lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
-            tables = np.empty((len(levels), len(lattice), 2 * (len(axis) - 1)))
-            for table, own in zip(tables, levels, strict=True):
-                table[:] = _hats(lattice, axis, own, noises[k])
-            rows = tables.reshape(-1, tables.shape[2])
-            self.smoothing.append(Bands.of(np.where(rows > FAINT, rows, 0.0)))
+            ends = k, float(f"{least:.2e}"), float(f"{max(sizes[k].max(), least):.2e}")
+            if ends not in tables:
+                if len(tables) >= MOST_TABLES:
+                    tables.clear()
+                tables[ends] = _tables(axis, *ends[1:], noises[k])
+            levels, lattice, bands = tables[ends]
+            self.smoothing.append(bands)
             shape.append(len(levels) * len(lattice))
-            nearest = np.abs(np.log(np.maximum(sizes[k], least))[:, None] - np.log(levels)).argmin(axis=1)
+            nearest = np.abs(np.log(np.maximum(sizes[k], levels[0]))[:, None] - np.log(levels)).argmin(axis=1)
             below = np.clip(np.searchsorted(lattice, y[k], side="right") - 1, 0, len(lattice) - 2)
             share = np.clip((y[k] - lattice[below]) / (lattice[below + 1] - lattice[below]), 0.0, 1.0)
             first = nearest * len(lattice) + below
@@ -349,6 +361,20 @@ class Reading:
             W = own.along(W, k)
         flat = W.ravel()
         return np.sum([weight * flat[place] for place, weight in self.corners], axis=0)
+
+
+def _tables(axis: FloatArray, least: float, most: float, noise: Noise | None) -> tuple[FloatArray, FloatArray, Bands]:
+    """Return sizes of the noise, points along an axis, and weights of what is around each point under each size.
+
+    There are as many sizes as their range asks for. Noise that is small beside the narrowest cell is as good as none.
+    """
+    levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
+    # beyond the edges, too, and where cells are wide in the middle of them
+    away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * (noise is not None)
+    middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
+    lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
+    rows = np.concatenate([_hats(lattice, axis, own, noise) for own in levels])
+    return levels, lattice, Bands.of(np.where(rows > FAINT, rows, 0.0))
 
 
 def _hats(points: FloatArray, axis: FloatArray, size: float, noise: Noise | None) -> FloatArray:

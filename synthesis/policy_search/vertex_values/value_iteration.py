@@ -71,6 +71,11 @@ which something is charged; share of the work that is left which is not spent on
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
 
+LEFT = 0.1, 1e-3
+"""No finer grid is tried where less than this share of the failure is charged, and less than this in all: the rest is
+what inputs fail by.
+"""
+
 WIDE = 1.5
 """Deviations from which on a cell is wide: values are continuous across it."""
 
@@ -167,9 +172,10 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                     edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
                 )
                 work.tell(failure)
+            is_good = failure - hoped < min(LEFT[0] * failure, LEFT[1])
             each = [min(float(own), most / vertices) for own in FINER_STEPS]
             more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
-            if failure < ENOUGH or slow or more is None or vertices >= most:
+            if failure < ENOUGH or slow or is_good or more is None or vertices >= most:
                 break
             vertices *= more
     except KeyboardInterrupt:
