@@ -241,7 +241,7 @@ class Choice:
         if self.known is None or (names_time(agent) and self.known[0] != t):
             images = list[FloatArray]()
             # as many inputs at once as make long arrays
-            for some in np.array_split(self.tried, -(-len(self.tried) * n // IMAGES_AT_ONCE)):
+            for some in np.array_split(self.tried, min(len(self.tried), -(-len(self.tried) * n // IMAGES_AT_ONCE))):
                 at, inputs = np.tile(self.at, len(some)), np.repeat(some, n, axis=0)
                 images += np.split(images_at(agent, at, inputs, t)[0], len(some), axis=1)
             d, apart = len(self.at), np.zeros((n, self.m))
@@ -325,12 +325,12 @@ class Reading:
         shape = list[int]()
         for k, axis in enumerate(edges):
             least = max(sizes[k].min(), AS_NONE * np.diff(axis).min())
-            ends = k, float(f"{least:.2e}"), float(f"{max(sizes[k].max(), least):.2e}")
-            if ends not in tables:
+            key = k, float(f"{least:.2e}"), float(f"{max(sizes[k].max(), least):.2e}")
+            if key not in tables:
                 if len(tables) >= MOST_TABLES:
                     tables.clear()
-                tables[ends] = _tables(axis, *ends[1:], noises[k])
-            levels, lattice, bands = tables[ends]
+                tables[key] = _tables(axis, *key[1:], noises[k])
+            levels, lattice, bands = tables[key]
             self.smoothing.append(bands)
             shape.append(len(levels) * len(lattice))
             nearest = np.abs(np.log(np.maximum(sizes[k], levels[0]))[:, None] - np.log(levels)).argmin(axis=1)

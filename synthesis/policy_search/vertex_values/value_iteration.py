@@ -172,7 +172,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                     edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
                 )
                 work.tell(failure)
-            is_good = failure - hoped < min(LEFT[0] * failure, LEFT[1])
+            is_good = failure - min(hoped, runs.failure) < min(LEFT[0] * failure, LEFT[1])
             each = [min(float(own), most / vertices) for own in FINER_STEPS]
             more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
             if failure < ENOUGH or slow or is_good or more is None or vertices >= most:
