@@ -71,9 +71,9 @@ which something is charged; share of the work that is left which is not spent on
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
 
-LEFT = 0.1, 1e-3
-"""No finer grid is tried where less than this share of the failure is charged, and less than this in all: the rest is
-what inputs fail by.
+LEFT = 0.3, 1e-3
+"""No finer grid is tried where so little of the failure is charged, as a share and in all, that the rest is what the
+controller itself fails by, as far as its runs say.
 """
 
 WIDE = 1.5
@@ -172,7 +172,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                     edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
                 )
                 work.tell(failure)
-            is_good = failure - min(hoped, runs.failure) < min(LEFT[0] * failure, LEFT[1])
+            least = failure - min(LEFT[0] * failure, LEFT[1])
+            is_good = runs.failure > least and Runs.least_failure(steps, inputs, laws) > least
             each = [min(float(own), most / vertices) for own in FINER_STEPS]
             more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
             if failure < ENOUGH or slow or is_good or more is None or vertices >= most:
