@@ -58,8 +58,8 @@ MOST_TRIED = 40
 LEAST_FAILURE = 1e-7
 """Failure below which none is aimed at."""
 
-MOST_TABLES = 8
-"""Tables of axes that are kept: a few for each, where sizes of the noise change in time."""
+MOST_TABLES, BLOCK = 8, 8
+"""Tables of axes that are kept, where images move in time; and of how many points ranges of them are multiples."""
 
 IMAGES_AT_ONCE = 20_000
 """Images that are computed at once, about."""
@@ -308,9 +308,11 @@ def _across(means: FloatArray, edges: tuple[FloatArray, ...]) -> FloatArray:
     return result.reshape(d, -1)
 
 
-Tables = dict[tuple[int, float, float], tuple[FloatArray, FloatArray, Bands]]
-"""By axis, and the least and most of its sizes: sizes and points that means are read at, and weights of what is there.
-Images that move in time mostly have the same ones."""
+Part = tuple[float, int, int]
+"""A size of the noise along an axis, and the first point that is read under it and the one after the last."""
+
+Tables = dict[tuple[int, tuple[Part, ...]], Bands]
+"""By axis and parts, weights of what is around each of their points. Images that move in time often have the same."""
 
 
 class Reading:
@@ -325,18 +327,26 @@ class Reading:
         shape = list[int]()
         for k, axis in enumerate(edges):
             least = max(sizes[k].min(), AS_NONE * np.diff(axis).min())
-            key = k, float(f"{least:.2e}"), float(f"{max(sizes[k].max(), least):.2e}")
-            if key not in tables:
-                if len(tables) >= MOST_TABLES:
-                    tables.clear()
-                tables[key] = _tables(axis, *key[1:], noises[k])
-            levels, lattice, bands = tables[key]
-            self.smoothing.append(bands)
-            shape.append(len(levels) * len(lattice))
+            least, most = (float(f"{own:.2e}") for own in (least, max(sizes[k].max(), least)))
+            levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
+            lattice = _points(axis, least, most, noisy[k])
             nearest = np.abs(np.log(np.maximum(sizes[k], levels[0]))[:, None] - np.log(levels)).argmin(axis=1)
             below = np.clip(np.searchsorted(lattice, y[k], side="right") - 1, 0, len(lattice) - 2)
+            # Under a size those points that images of that size are between.
+            used, nearest = np.unique(nearest, return_inverse=True)
+            ways = [(own, below[nearest == place]) for place, own in enumerate(levels[used].tolist())]
+            each = tuple((own, *_rounded(some, len(lattice))) for own, some in ways)
+            starts, lengths = (np.array(own) for own in zip(*[(i, j - i) for _, i, j in each], strict=True))
+            offsets = np.cumsum(lengths) - lengths
+            if (k, each) not in tables:
+                if len(tables) >= MOST_TABLES:
+                    tables.clear()
+                rows = np.concatenate([_hats(lattice[i:j], axis, own, noises[k]) for own, i, j in each])
+                tables[k, each] = Bands.of(np.where(rows > FAINT, rows, 0.0))
+            self.smoothing.append(tables[k, each])
+            shape.append(int(lengths.sum()))
             share = np.clip((y[k] - lattice[below]) / (lattice[below + 1] - lattice[below]), 0.0, 1.0)
-            first = nearest * len(lattice) + below
+            first = offsets[nearest] + below - starts[nearest]
             places.append(np.stack([first, first + 1]))
             parts.append(np.stack([1.0 - share, share]))
             # without noise what is beyond the edges is lost
@@ -363,18 +373,16 @@ class Reading:
         return np.sum([weight * flat[place] for place, weight in self.corners], axis=0)
 
 
-def _tables(axis: FloatArray, least: float, most: float, noise: Noise | None) -> tuple[FloatArray, FloatArray, Bands]:
-    """Return sizes of the noise, points along an axis, and weights of what is around each point under each size.
-
-    There are as many sizes as their range asks for. Noise that is small beside the narrowest cell is as good as none.
-    """
-    levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
-    # beyond the edges, too, and where cells are wide in the middle of them
-    away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * (noise is not None)
+def _points(axis: FloatArray, least: float, most: float, is_noisy: bool) -> FloatArray:
+    """Return the points of an axis that means are read at: edges, what is beyond, and where cells are wide middles."""
+    away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * is_noisy
     middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
-    lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
-    rows = np.concatenate([_hats(lattice, axis, own, noise) for own in levels])
-    return levels, lattice, Bands.of(np.where(rows > FAINT, rows, 0.0))
+    return np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
+
+
+def _rounded(below: NDArray[np.int64], count: int) -> tuple[int, int]:
+    """Return the first of some points, and the one after the next one of the last, or a few more to both sides."""
+    return int(below.min()) // BLOCK * BLOCK, min(count, -(-(int(below.max()) + 2) // BLOCK) * BLOCK)
 
 
 def _hats(points: FloatArray, axis: FloatArray, size: float, noise: Noise | None) -> FloatArray:
