@@ -98,6 +98,9 @@ PAIR = 2
 SURELY = 0.7
 """Share of the work, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
+MOST_COUNTED = 4_000
+"""Cells of an agent up to which models are made to know the work of a level."""
+
 CHEAP = 0.5
 """Work below which a level is begun whatever the last one gained."""
 
@@ -133,7 +136,7 @@ def linear_levels(problem: Problem, settings: Settings, run: Run, effort: Effort
 
 
 def linear_work(problem: Problem, settings: Settings, run: Run) -> float:
-    """Return the work of the first level of linear cells.
+    """Return the work of the first level of linear cells, from that of fewer cells where there are very many.
 
     Raises
     ------
@@ -141,7 +144,14 @@ def linear_work(problem: Problem, settings: Settings, run: Run) -> float:
         If an agent has no linear cells.
     """
     levels = _linear(problem, settings, run, Effort())
-    return levels.work(levels.models(FIRST_WIDTH))
+
+    def count(width: float) -> int:
+        return max(math.prod(shape) for shape in level_cells(problem, width).values())
+
+    axes, width = max(agent.n_states for agent in problem.agents), FIRST_WIDTH
+    if count(width) > MOST_COUNTED:
+        width *= (count(width) / MOST_COUNTED) ** (1.0 / axes)
+    return levels.work(levels.models(width)) * count(FIRST_WIDTH) / count(width)
 
 
 def _linear(problem: Problem, settings: Settings, run: Run, effort: Effort) -> _Levels:
