@@ -467,7 +467,7 @@ def _finer(problem: Problem, plan: Plan) -> Strategy:
             return ""
         if path is not None and first.certificate.lower_bound < NEAR_PATH * path.certificate.lower_bound:
             return ""
-        return "" if first.certificate.proof.rounding is not None or plan.settings.delta is not None else None
+        return "" if plan.settings.delta is not None else None
 
     # Agents with expressions begin with cells so coarse that finer ones pay, until there is nothing left to gain.
     enough = SOLVED if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
