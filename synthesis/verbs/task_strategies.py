@@ -122,10 +122,11 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         return _strategies_of_lost(problem, kinds, plan)
     if is_beyond_grids(problem):
         # Where a grid does not reach a path may. Without noise in some states neither is better as a rule.
+        has_grid = has_shared_noise(problem)
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
-        path = replace(path_strategy(problem, plan), work=0.0, ends=ends)
+        path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS if has_grid else ends)
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
+        ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) or has_grid else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
 
@@ -272,7 +273,7 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    has_vertices = has_vertices_only(problem) and may_have_vertices(problem)
+    has_vertices = (has_vertices_only(problem) or has_shared_noise(problem)) and may_have_vertices(problem)
 
     def run(results: Results) -> Synthesis:
         along = plan.along_paths
@@ -304,6 +305,12 @@ def has_other_noise(problem: Problem) -> bool:
     """Return whether the problem is of one agent with noise that linear cells do not know: of other laws or sizes."""
     agent = problem.agents[0]
     return problem.n_agents == 1 and (agent.noise_scale is not None or agent.laws is not None)
+
+
+def has_shared_noise(problem: Problem) -> bool:
+    """Return whether both states of one agent share noise, which grids of vertices take apart."""
+    agent = problem.agents[0]
+    return problem.n_agents == 1 and agent.n_states == MOST_STILL_STATES and not agent.has_independent_noise
 
 
 def has_vertices_only(problem: Problem) -> bool:

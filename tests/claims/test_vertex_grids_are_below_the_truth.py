@@ -617,7 +617,9 @@ def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate
 
 
 def test_more_agents_or_other_noise_are_refused_in_words() -> None:
-    problem = problem_of("two states", noise={"laws": [{"law": "laplace", "scale": 0.1}] * 2, "axes": [[1, 1], [0, 1]]})
+    problem = problem_of(
+        "two states", noise={"laws": [{"law": "laplace", "scale": 0.1}] * 2, "axes": [[1, 1], [-1, 1]]}
+    )
     with pytest.raises(ValueError, match="not independent"):
         cg.synthesize(problem, relation="vertices")
     assert failure_of.__doc__

@@ -30,6 +30,8 @@ class VertexController(PathController):
         Inputs at all vertices, the last axis running fastest.
     laws : (T, Q) int array
         Which of them acts at each time, in each automaton state.
+    matrix : (d, d) array or None
+        The grid is one of ``matrix @ x``; None: of the states x.
     """
 
     information = "own state, automaton state, time"
@@ -37,6 +39,7 @@ class VertexController(PathController):
     edges: tuple[FloatArray, ...]
     vertex_inputs: FloatArray
     laws: NDArray[np.int64]
+    matrix: FloatArray | None = None
 
     def __repr__(self) -> str:
         rows = [("cells", [len(axis) - 1 for axis in self.edges]), ("laws", len(self.vertex_inputs))]
@@ -53,7 +56,8 @@ class VertexController(PathController):
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return inputs (m, M) at states (d, M), automaton states (M,) and a time, within the input box."""
         which = self.laws[min(time, len(self.laws) - 1)][np.asarray(q)]
-        result = interpolated(self.edges, self.vertex_inputs, states, which)
+        places = states if self.matrix is None else self.matrix @ states
+        result = interpolated(self.edges, self.vertex_inputs, places, which)
         own = self.problem.agents[0]
         return np.clip(result, own.input_low[:, None], own.input_high[:, None])
 

@@ -39,6 +39,8 @@ class VertexProof(FailureProof):
         Ends of the lattice on which second derivatives are bounded, where all noise is normal and of one size.
     failure : float
         Upper bound on the probability that the task is not satisfied.
+    matrix : (d, d) array or None
+        The grid is one of ``matrix @ x``, where noise that moves several states is independent (None: of x itself).
     """
 
     edges: tuple[FloatArray, ...]
@@ -48,6 +50,7 @@ class VertexProof(FailureProof):
     near: float
     window: FloatArray | None
     failure: float
+    matrix: FloatArray | None = None
 
     kind = "vertex-grid"
     unsupported = MappingProxyType({
@@ -64,7 +67,7 @@ class VertexProof(FailureProof):
 
     def controller(self, problem: Problem) -> VertexController:
         """Return the controller the bound belongs to."""
-        return VertexController(problem, (), self.edges, self.inputs, self.laws)
+        return VertexController(problem, (), self.edges, self.inputs, self.laws, self.matrix)
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
@@ -76,6 +79,7 @@ class VertexProof(FailureProof):
             "jumps": list(self.jumps),
             "near": float(self.near),
             **({} if self.window is None else {"window": pool.put(self.window)}),
+            **({} if self.matrix is None else {"matrix": pool.put(self.matrix)}),
         }
 
     @classmethod
@@ -105,5 +109,8 @@ class VertexProof(FailureProof):
         window = stored.numbers(stored.entry["window"]) if "window" in stored.entry else None
         if window is not None and (window.shape != (2, agent.n_states) or not np.all(np.isfinite(window))):
             raise ValueError("its lattice has no ends along each axis")
+        matrix = stored.numbers(stored.entry["matrix"]) if "matrix" in stored.entry else None
+        if matrix is not None and (matrix.shape != (agent.n_states,) * 2 or not np.all(np.isfinite(matrix))):
+            raise ValueError("its coordinates are not as many as states")
         failure = probability(stored.entry["failure"])
-        return cls(edges, inputs, laws.astype(np.int64), jumps, near, window, failure)
+        return cls(edges, inputs, laws.astype(np.int64), jumps, near, window, failure, matrix)

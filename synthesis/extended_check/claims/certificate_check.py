@@ -195,10 +195,8 @@ def _check_vertices(certificate: Certificate[VertexProof], problem: Problem) -> 
         try:
             with np.errstate(all="ignore"):
                 checked = read_problem({"problem": canonical_problem(problem)})
-                laws = problem.agents[0].laws
-                failure = failure_of(
-                    checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, laws, proof.window
-                )
+                held = proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near
+                failure = failure_of(checked, *held, problem.agents[0].laws, proof.window, proof.matrix)
         except (NotCanonicalError, Refused, Unreadable) as reason:
             failures.append(str(reason))
     if not failures and not failure <= proof.failure:

@@ -3,6 +3,7 @@
 from .backups import FARTHEST, KEPT, NEAR, Backups, failure_of
 from .bands import Bands
 from .closed_loops import corners_of, images_at, names_time, vertices_of
+from .coordinates import Independent, independent
 from .images import Images, hats_at
 from .lattices import Lattice, LatticeImages
 from .noise_bounds import Noise, Normal
@@ -14,12 +15,14 @@ __all__ = [
     "Backups",
     "Bands",
     "Images",
+    "Independent",
     "Lattice",
     "LatticeImages",
     "corners_of",
     "failure_of",
     "hats_at",
     "images_at",
+    "independent",
     "names_time",
     "vertices_of",
     "Noise",

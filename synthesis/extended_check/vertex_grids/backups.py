@@ -46,10 +46,11 @@ from ...checker.cells import start_weights
 from ...checker.distributions import NORMAL
 from ...checker.formula import wrong_automaton
 from ...checker.intervals import up
-from ...checker.motions import cell_labels
+from ...checker.motions import cell_boxes, cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
 from .closed_loops import closed_loop, corners_of, images_at, names_time, vertices_of
+from .coordinates import Independent, independent, start_points
 from .images import Images
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
@@ -69,19 +70,25 @@ def failure_of(
     near: float,
     noise_laws: Sequence[Law] | None,
     window: Array | None = None,
+    matrix: Array | None = None,
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
     The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
     that are more than ``near`` deviations of the noise away are left out, which is charged. Second derivatives are
     bounded on a lattice around a ``window`` (2, d), or feature by feature (None). Noise has the laws ``noise_laws`` of
-    its sources, or is normal (None).
+    its sources, or is normal (None). The grid is one of ``matrix @ x``, or of the states x (None): those coordinates
+    in which the noise is independent, and no other ones (``coordinates``).
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
         raise Refused(f"the automaton is not that of the formula: {wrong}")
+    problem = independent(problem)
+    own = problem.matrix if isinstance(problem, Independent) else None
+    if (own is None) != (matrix is None) or (own is not None and not np.array_equal(own, np.asarray(matrix))):
+        raise Refused("its grid is one of other coordinates")
     steps = Backups(problem, edges, jumps, near, noise_laws, window)
     every = problem.horizon, len(problem.automaton.accepting)
     if laws.shape != every or np.any((laws < 0) | (laws >= len(inputs))):
@@ -129,6 +136,8 @@ class Backups:
         low, high = (np.array([axis[k] for axis in self.edges]) for k in (0, -1))
         if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):
             raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
+        if isinstance(self.problem, Independent):
+            self.problem.refuse_fine(self.edges)
 
     @property
     def agent(self) -> CheckedAgent:
@@ -173,6 +182,13 @@ class Backups:
             for q in np.flatnonzero(now):
                 later[ways[q]] = True
         return result & ~np.array(automaton.dead())
+
+    @cached_property
+    def inside(self) -> Truth:
+        """Which cells, at both ends of every interval, lie in the workspace of the states."""
+        if not isinstance(self.problem, Independent):
+            return np.ones(tuple(2 * n for n in self.shape), dtype=bool)
+        return np.asarray(doubled(self.problem.inside(*cell_boxes(self.edges)).reshape(self.shape)))
 
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
@@ -250,6 +266,7 @@ class Backups:
             self.letters[t] = [(own, doubled(which.reshape(self.shape) == k)) for k, own in enumerate(known)]
         result = np.zeros(tuple(2 * n for n in self.shape))
         for letter, where in self.letters[t]:
+            where = where & self.inside
             each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, letter)]
             result = np.where(where, np.min(each, axis=0), result)
         return result
@@ -288,9 +305,18 @@ class Backups:
         """Return an upper bound on the failure: 1 less the mean of V_0 over the start, after the letter of time 0."""
         automaton = self.problem.automaton
         W = self.after_letter(values, given_up, automaton.initial, 0)
+        starts = [self.agent.start]
+        if isinstance(self.problem, Independent):
+            # a point that is known up to rounding: in a cell the least value is that at a corner
+            places = [
+                np.searchsorted(axis, own, side="right") for axis, own in zip(self.edges, starts[0].T, strict=True)
+            ]
+            if any(first != last for first, last in places):
+                raise Refused("the start may lie on either side of an edge")
+            starts = start_points(self.agent)
         # Weights are lower bounds, and no number is negative.
-        weights = start_weights(self.agent.start, self.edges, True)
-        value = max(0.0, float(weights @ W.ravel()) * (1.0 - 4.0 * U * W.size))
+        each = [float(start_weights(own, self.edges, True) @ W.ravel()) for own in starts]
+        value = max(0.0, min(each) * (1.0 - 4.0 * U * W.size))
         return float(np.clip(up(1.0 - value), 0.0, 1.0))
 
 

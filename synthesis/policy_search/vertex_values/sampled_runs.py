@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,10 @@ class Runs:
                 noise = batch_simulator.noise(dynamics, rng, RUNS)
                 worlds = batch_simulator.transition(dynamics, worlds, inputs, noise)
         return cls(np.stack(states), np.stack(each), 1.0 - float(batch_simulator.satisfied(dynamics, worlds).mean()))
+
+    def seen_by(self, matrix: FloatArray | None) -> Runs:
+        """Return the same runs in other coordinates (None: those that they have)."""
+        return self if matrix is None else replace(self, states=np.einsum("ij,tjm->tim", matrix, self.states))
 
     def window(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
         """Return a window (2, d) of states in which nearly all runs stay."""

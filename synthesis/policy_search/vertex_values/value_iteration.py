@@ -13,7 +13,16 @@ from ....envs.systems.distributions import Law
 from ....envs.tasks.problem import Problem
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, read_problem
-from ...extended_check.vertex_grids import FARTHEST, NEAR, Backups, Lattice, images_at, vertices_of
+from ...extended_check.vertex_grids import (
+    FARTHEST,
+    NEAR,
+    Backups,
+    Independent,
+    Lattice,
+    images_at,
+    independent,
+    vertices_of,
+)
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
@@ -94,7 +103,7 @@ def refuse_vertex_grid(problem: Problem) -> None:
     if agent.n_states > MOST_STATES or agent.n_inputs not in INPUTS:
         raise RelationRefused(f"grids of vertices have {MOST_STATES} states and {max(INPUTS)} inputs at most")
     try:
-        checked = read_problem({"problem": canonical_problem(problem)})
+        checked = _checked(problem)
         steps = Backups(
             checked,
             tuple(np.array(box) for box in checked.agents[0].state_box.T),
@@ -107,6 +116,11 @@ def refuse_vertex_grid(problem: Problem) -> None:
         raise RelationRefused(str(reason)) from reason
 
 
+def _checked(problem: Problem) -> CheckedProblem:
+    """Return a problem as the check reads it, in coordinates in which its noise is independent."""
+    return independent(read_problem({"problem": canonical_problem(problem)}))
+
+
 def refuse_small_noise(spreads: FloatArray, window: FloatArray) -> None:
     """Raise RelationRefused where a window (2, d) has too many cells that are as wide as the noise."""
     cells = float(np.prod((window[1] - window[0]) / (NARROW * spreads).mean(axis=1)))
@@ -117,7 +131,7 @@ def refuse_small_noise(spreads: FloatArray, window: FloatArray) -> None:
 def refuse_without_guess(problem: Problem) -> None:
     """Raise RelationRefused where the noise is small beside all that a task leaves of the workspace."""
     refuse_vertex_grid(problem)
-    checked = read_problem({"problem": canonical_problem(problem)})
+    checked = _checked(problem)
     spreads = spreads_of(checked)
     first = grid_of(checked, spreads, FIRST[problem.agents[0].n_states], checked.agents[0].state_box)
     refuse_small_noise(spreads, _alive(checked, first))
@@ -140,11 +154,12 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork, guess: Any = No
 
 def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexProof, dict[str, float]]:
     """Return the best proof on finer and finer grids, and the bound of each of them."""
-    checked, noise_laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws
+    checked, noise_laws = _checked(problem), problem.agents[0].laws
     spreads, states = spreads_of(checked), problem.agents[0].n_states
     vertices, most = float(FIRST[states]), MOST_VERTICES[states]
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
-    full, runs = checked.agents[0].state_box, None if guess is None else Runs.under(problem, guess)
+    full, matrix = checked.agents[0].state_box, checked.matrix if isinstance(checked, Independent) else None
+    runs = None if guess is None else Runs.under(problem, guess).seen_by(matrix)
     if runs is not None and runs.failure < POOR_GUESS:
         alive = _within(alive, runs.window(checked, spreads))
         narrow = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
@@ -168,9 +183,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
-                best = VertexProof(
-                    edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
-                )
+                claim = min(1.0, failure * CLAIMED)
+                best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, steps.window, claim, matrix)
                 work.tell(failure)
             least = failure - min(LEFT[0] * failure, LEFT[1])
             is_good = runs.failure > least and Runs.least_failure(steps, inputs, laws) > least

@@ -1,0 +1,124 @@
+"""Grids of vertices where noise moves both states: runs of the coordinates are those of the states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import beta
+
+import certigym as cg
+from certigym.synthesis.certificates.proofs import canonical_problem
+from certigym.synthesis.checker import CheckedProblem, Refused, read_problem, value_on
+from certigym.synthesis.extended_check.vertex_grids import Backups, Independent, images_at, independent
+from certigym.synthesis.extended_check.vertex_grids.coordinates import FINEST
+
+LAPLACE = {"law": "laplace", "scale": 0.1}
+NOISE: dict[str, dict[str, Any]] = {
+    "correlated": {"noise_covariance": [[0.01, 0.008], [0.008, 0.02]]},
+    "against each other": {"noise_covariance": [[0.03, -0.01], [-0.01, 0.005]]},
+    "one source": {"noise_covariance": [[0.0001, 0.002], [0.002, 0.04]]},
+    "other laws": {"noise": [LAPLACE, {"law": "uniform", "low": -0.1, "high": 0.1}], "noise_axes": [[1, 0], [-0.5, 1]]},
+}  # fmt: skip
+
+
+def problem_of(name: str, **more: Any) -> cg.Problem:
+    options = {"states": ["x", "v"], "dynamics": ["x + 0.2*v", "0.9*v - 0.1*sin(x) + 0.3*u"], "initial_state": [0, 0]}
+    options |= {"state_low": [-1, -2], "state_high": [3, 2], "inputs": ["u"], "input_low": [-1], "input_high": [1]}
+    agent = cg.Agent(name="ship", outputs=["x", "v + 0.1*x"], **{**options, **NOISE[name], **more})
+    goal = cg.Proposition("ship", [1.0, -0.8], [2.0, 0.8])
+    return cg.Problem(name="p", agents=[agent], propositions={"goal": goal}, specification="F goal", horizon=12)
+
+
+def checked(problem: cg.Problem) -> CheckedProblem:
+    return read_problem({"problem": canonical_problem(problem)})
+
+
+@pytest.mark.parametrize("name", NOISE)
+def test_runs_of_coordinates_are_those_of_states(name: str) -> None:
+    own, rng = checked(problem_of(name)), np.random.default_rng(2)
+    other = independent(own)
+    assert isinstance(other, Independent) and not isinstance(own, Independent)
+    agent, there = own.agents[0], other.agents[0]
+    low, high = agent.state_box
+    x, u = rng.uniform(low[:, None], high[:, None], (2, 500)), rng.uniform(-1.0, 1.0, (500, 1))
+    w = rng.standard_normal((agent.noise.shape[1], 500))
+    z = other.matrix @ x
+    later = images_at(agent, x, u, 0)[0][:2] + agent.noise @ w
+    scales = np.stack([value_on(tree, {"x": np.zeros((2, 500))})[0] for tree in there.scale])
+    assert np.allclose(images_at(there, z, u, 0)[0][:2] + scales * (there.noise @ w), other.matrix @ later, atol=1e-12)
+    # each axis has one source at most, each source one axis; what sources the check knows are those
+    assert np.all(np.count_nonzero(there.noise, axis=0) <= 1) and np.all(np.count_nonzero(there.noise, axis=1) <= 1)
+    deviations = np.array([[own.deviation] for own in agent.envelopes])
+    assert np.allclose(images_at(there, z, u, 0)[0][2:], scales * (np.abs(there.noise) @ deviations))
+    # states and outputs are read from z, and z lies in its box
+    names = {name: np.stack([row, row]) for name, row in zip(there.states, z, strict=True)}
+    before = {name: np.stack([row, row]) for name, row in zip(agent.states, x, strict=True)}
+    assert np.allclose([value_on(tree, names)[0] for tree in other.inverse], x, atol=1e-12)
+    for a, b in zip(agent.outputs, there.outputs, strict=True):
+        assert np.allclose(value_on(a, before), value_on(b, names), atol=1e-12)
+    assert np.all((there.state_box[0][:, None] <= z) & (z <= there.state_box[1][:, None]))
+
+
+@pytest.mark.parametrize("name", NOISE)
+def test_cells_inside_hold_no_state_outside(name: str) -> None:
+    problem, rng = independent(checked(problem_of(name))), np.random.default_rng(3)
+    assert isinstance(problem, Independent)
+    edges = tuple(np.linspace(a, b, 23) for a, b in problem.agents[0].state_box.T)
+    steps = Backups(problem, edges, (True, True), noise_laws=problem_of(name).agents[0].laws)
+    z = np.stack([rng.uniform(axis[0], axis[-1], 20_000) for axis in edges])
+    x = np.linalg.solve(problem.matrix, z)
+    low, high = problem.workspace
+    out = np.any((x < low[:, None]) | (x > high[:, None]), axis=0)
+    cells = tuple(2 * (np.searchsorted(axis, own) - 1) for axis, own in zip(edges, z, strict=True))
+    assert out.any() and not np.any(steps.inside[cells][out]) and steps.inside.mean() > 0.3
+    # nothing is worth anything there, whatever comes later
+    values, nothing = steps.at_end()
+    W = steps.after_letter(np.ones_like(values), nothing, 0, 1)
+    assert np.all(W[cells][out] == 0.0) and W.max() == 1.0
+
+
+@pytest.fixture(scope="module")
+def certificate() -> cg.Certificate:
+    return cg.synthesize(problem_of("correlated"), relation="vertices", effort=8.0).certificate
+
+
+def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp_path: Path) -> None:
+    proof: Any = certificate.proof
+    assert proof.kind == "vertex-grid" and proof.matrix is not None and certificate.lower_bound > 0.9
+    rollouts, alarm = 20_000, 1e-6
+    successes = cg.rollout(certificate.problem, certificate.controller, episodes=rollouts, seed=3).successes
+    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
+    assert certificate.lower_bound <= most
+    cg.save(certificate, tmp_path / "c.npz")
+    again: Any = cg.load(tmp_path / "c.npz")
+    assert cg.check(again) and np.array_equal(again.proof.matrix, proof.matrix)
+
+
+@pytest.mark.parametrize("forge", ["none", "turned", "finer"])
+def test_other_coordinates_are_refused(certificate: cg.Certificate, forge: str) -> None:
+    proof: Any = certificate.proof
+    matrix = {"none": None, "turned": proof.matrix.T, "finer": np.nextafter(proof.matrix, 2.0)}[forge]
+    report = cg.check(replace(certificate, proof=replace(proof, matrix=matrix)))
+    assert not report and "other coordinates" in str(report.failures)
+
+
+def test_starts_on_edges_and_cells_that_are_too_fine_are_refused() -> None:
+    problem = independent(checked(problem_of("correlated", initial_state=[0.3, 0.7])))
+    low, high = problem.agents[0].start
+    edges = [np.linspace(a, b, 9) for a, b in problem.agents[0].state_box.T]
+    axis = int(np.argmax(high - low))
+    assert low[axis] < high[axis]  # known up to rounding
+    edges[axis][3] = high[axis]
+    steps = Backups(problem, tuple(np.sort(own) for own in edges), (True, True))
+    with pytest.raises(Refused, match="either side of an edge"):
+        steps.failure(*steps.at_end())
+    edges[0] = np.sort(np.append(edges[0], edges[0][4] + 0.5 * 4.0 / FINEST))
+    assert isinstance(problem, Independent)
+    with pytest.raises(Refused, match="too narrow"):
+        problem.refuse_fine(tuple(edges))
+    with pytest.raises(Refused, match="in a box"):
+        independent(checked(problem_of("correlated", initial_state=None, initial_low=[0, 0], initial_high=[0.1, 0])))
