@@ -326,7 +326,9 @@ class AnyAgent(ABC):
             factor = np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors
             spectrum, vectors = np.linalg.eigh(covariance)
-            factor = vectors * np.sqrt(np.maximum(spectrum, 0.0))
+            # what rounding leaves of an eigenvalue 0 is no source of noise
+            spectrum[spectrum < len(spectrum) * np.finfo(float).eps * spectrum.max()] = 0.0
+            factor = vectors * np.sqrt(spectrum)
         return read_only(factor)
 
     @property
