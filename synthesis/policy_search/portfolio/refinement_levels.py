@@ -146,7 +146,7 @@ def linear_work(problem: Problem, settings: Settings, run: Run) -> float:
     levels = _linear(problem, settings, run, Effort())
 
     def count(width: float) -> int:
-        return max(math.prod(shape) for shape in level_cells(problem, width).values())
+        return max(math.prod(shape) for shape in levels.cells(width).values())
 
     axes, width = max(agent.n_states for agent in problem.agents), FIRST_WIDTH
     if count(width) > MOST_COUNTED:
@@ -404,6 +404,10 @@ class _Levels:
 
     def models(self, width: float) -> Abstraction:
         """Return finite models with cells of about this width; refuse more than an agent may have."""
+        return abstraction_of(self.problem, self.cells(width), self.kinds, self.settings)
+
+    def cells(self, width: float) -> dict[str, tuple[int, ...]]:
+        """Return cells of about this width; refuse more than an agent may have."""
         cells = self.cells_of(width)
         for name, shape in cells.items():
             if math.prod(shape) > MOST_CELLS:
@@ -411,7 +415,7 @@ class _Levels:
                     f"agent `{name}`: cells {width:g} standard deviations wide are {math.prod(shape):.2g} in all, and "
                     f"grids hold {MOST_CELLS:.2g} at most"
                 )
-        return abstraction_of(self.problem, cells, self.kinds, self.settings)
+        return cells
 
     def work(self, abstraction: Abstraction) -> float:
         """Return an estimate of the work of a level."""
