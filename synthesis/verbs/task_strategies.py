@@ -154,7 +154,9 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    ways = [vertex_strategy(problem, plan)] if has_vertices_only(problem) else []
+    # cells of tasks that are written out in time are as many as there are steps
+    few = problem.n_agents == 1 and problem.agents[0].n_states <= MOST_STILL_STATES
+    ways = [vertex_strategy(problem, plan)] if few or has_vertices_only(problem) else []
     beside = partial(_beside_vertices, problem)
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=beside)]
 

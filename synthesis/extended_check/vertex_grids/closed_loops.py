@@ -81,12 +81,12 @@ def closed_loop(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int) -
     on_cells, slopes, bends = None, [], []
     for k in range(d):
         change = np.diff(corners, axis=2 + k).reshape(*corners.shape[:2], -1)
-        moves = np.zeros((2, d + len(off), low.shape[1]))
-        moves[:, k] = down(high[k] - low[k]), up(high[k] - low[k])
-        moves[:, d:] = down(change.min(axis=2)), up(change.max(axis=2))
+        moves = np.zeros((2, d + len(off), 1, low.shape[1]))
+        moves[:, k, 0] = down(high[k] - low[k]), up(high[k] - low[k])
+        moves[:, d:, 0] = down(change.min(axis=2)), up(change.max(axis=2))
         on_cells, slope, bend = _image(agent, np.stack([low, high]), wide, moves, t)
-        slopes.append(slope)
-        bends.append(np.abs(bend).max(axis=0))
+        slopes.append(slope[:, :, 0])
+        bends.append(np.abs(bend[:, :, 0, 0]).max(axis=0))
     assert on_cells is not None
     # From every corner as far as slopes lead: tighter where what acts on a state cancels.
     least, most = (
@@ -136,33 +136,37 @@ def images_at(agent: Agent, states: Array, inputs: Array, t: int) -> tuple[Array
     """Return centre and rho (2 d, n) of the images of points (d, n) under inputs (n, m): nothing moves there."""
     off = INPUT_OFF * np.abs(agent.input_box).max(axis=0)
     given = np.stack([down(inputs - off), up(inputs + off)]).transpose(0, 2, 1)
-    ends = _image(agent, interval(states), given, np.zeros((2, len(states) + len(off), states.shape[1])), t)[0]
+    # no direction at all: values alone
+    ends = _image(agent, interval(states), given, np.zeros((2, len(states) + len(off), 0, states.shape[1])), t)[0]
     centre = 0.5 * ends[0] + 0.5 * ends[1]
     return centre, np.maximum(up(ends[1] - centre), up(centre - ends[0]))
 
 
 def _image(agent: Agent, states: Array, inputs: Array, moves: Array, t: int) -> tuple[Array, Array, Array]:
-    """Return ends (2, 2 d, n) of images and of both derivatives, for states and inputs that move by ``moves``."""
-    ranges, n = np.concatenate([states, inputs], axis=1), states.shape[2]
-    flat = np.zeros((2, 1, 1, n))
+    """Return ends of images (2, 2 d, n), of slopes (2, 2 d, v, n) and second derivatives (2, 2 d, v, v, n).
+
+    States and inputs move by ``moves`` (2, d + m, v, n) along v directions.
+    """
+    ranges, v, n = np.concatenate([states, inputs], axis=1), moves.shape[2], states.shape[2]
+    flat = np.zeros((2, v, v, n))
     names = (*agent.states, *agent.inputs)
-    leaves = {name: Jet(ranges[:, k], moves[:, k, None], flat) for k, name in enumerate(names)}
+    leaves = {name: Jet(ranges[:, k], moves[:, k], flat) for k, name in enumerate(names)}
     for name, own in (*agent.disturbances.items(), ("t", (float(t), float(t)))):
-        leaves.setdefault(name, Jet.variable(np.repeat(np.array(own)[:, None], n, axis=1), np.zeros((1, n))))
+        leaves.setdefault(name, Jet.variable(np.repeat(np.array(own)[:, None], n, axis=1), np.zeros((v, n))))
     # The size of each component is its deviation, times its scale.
     memory: Memory = {}
     made = [jet(tree, leaves, memory) for tree in (*agent.dynamics, *agent.scale)]
-    none = np.zeros((2, n))
-    parts = [(own.value + none, own.slope[:, 0] + none, own.bend[:, 0, 0] + none) for own in made]
+    none = np.zeros((2, n)), np.zeros((2, v, n)), flat
+    parts = [(own.value + none[0], own.slope + none[1], own.bend + none[2]) for own in made]
     # One source of noise at most moves each state (``Backups``).
     sources = np.array([envelope.deviation for envelope in agent.envelopes])
     deviations = mul(interval(np.abs(agent.noise)), interval(sources)).sum(axis=2)
     each = [interval(np.full(n, least), np.full(n, most)) for least, most in deviations.T]
     if not agent.scale:
-        parts += [(deviation, none, none) for deviation in each]
+        parts += [(deviation, *none[1:]) for deviation in each]
     else:
         sized = zip(each, parts[len(each) :], strict=True)
-        parts[len(each) :] = [(mul(s, a), mul(s, b), mul(s, c)) for s, (a, b, c) in sized]
+        parts[len(each) :] = [(mul(s, a), mul(s[:, None], b), mul(s[:, None, None], c)) for s, (a, b, c) in sized]
     value, slope, bend = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
     return value, slope, bend
 

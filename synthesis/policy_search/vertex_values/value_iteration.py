@@ -28,7 +28,7 @@ from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
 from .counted_backups import BrokenOff, Counted
 from .input_choice import INPUTS, Choice
-from .sampled_runs import Runs
+from .sampled_runs import MANY, RUNS, Runs
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
@@ -80,9 +80,9 @@ which something is charged; share of the work that is left which is not spent on
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
 
-LEFT = 0.3, 1e-3
+LEFT, SEEN = (0.3, 1e-3), 30
 """No finer grid is tried where so little of the failure is charged, as a share and in all, that the rest is what the
-controller itself fails by, as far as its runs say.
+controller itself fails by, as far as its runs say: where it fails in so many of them.
 """
 
 WIDE = 1.5
@@ -187,7 +187,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, steps.window, claim, matrix)
                 work.tell(failure)
             least = failure - min(LEFT[0] * failure, LEFT[1])
-            is_good = runs.failure > least and Runs.least_failure(steps, inputs, laws) > least
+            is_seen = failure > SEEN / (MANY * RUNS) and runs.failure > least
+            is_good = is_seen and Runs.least_failure(steps, inputs, laws) > least
             each = [min(float(own), most / vertices) for own in FINER_STEPS]
             more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
             if failure < ENOUGH or slow or is_good or more is None or vertices >= most:
