@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -155,9 +154,14 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
     # cells of tasks that are written out in time are as many as there are steps
-    few = problem.n_agents == 1 and problem.agents[0].n_states <= MOST_STILL_STATES
-    ways = [vertex_strategy(problem, plan)] if few or has_vertices_only(problem) else []
-    beside = partial(_beside_vertices, problem)
+    few, alone = problem.n_agents == 1 and problem.agents[0].n_states <= MOST_STILL_STATES, has_vertices_only(problem)
+    ways = [vertex_strategy(problem, plan)] if few or alone else []
+
+    def beside(results: Results) -> str | None:
+        # cells have inputs that jump, which is better for some
+        found = results.get("vertices")
+        return _beside_vertices(results) if alone or (found and found.certificate.lower_bound >= GOOD) else None
+
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=beside)]
 
 
@@ -427,7 +431,7 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def why_not(results: Results) -> str | None:
         if "path" in results and results["path"].certificate.lower_bound > 0.0 and _is_for_paths(problem):
             return f"skipped: boxes of {MOST_GRID_STATES} states do not come near a path that proves something"
-        return _beside_vertices(problem, results)
+        return _beside_vertices(results)
 
     enough = SOLVED if scalar or not linear else GOOD
     # Boxes of three states take a minute, and are for where no path proves anything.
@@ -440,7 +444,7 @@ def _is_for_paths(problem: Problem) -> bool:
     return any(agent.n_states >= MOST_GRID_STATES and not reaches_every_mean(agent) for agent in problem.agents)
 
 
-def _beside_vertices(problem: Problem, results: Results) -> str | None:
+def _beside_vertices(results: Results) -> str | None:
     """Return why boxes are left out beside a grid of vertices."""
     return "skipped: vertices bound values more closely than boxes do" if "vertices" in results else None
 
