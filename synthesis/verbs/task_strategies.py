@@ -153,8 +153,8 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    # cells of tasks that are written out in time are as many as there are steps
-    few, alone = problem.n_agents == 1 and problem.agents[0].n_states <= MOST_STILL_STATES, has_vertices_only(problem)
+    # cells of tasks that are written out in time are as many as there are steps, which costs little on a line
+    few, alone = problem.n_agents == 1 and problem.agents[0].n_states == MOST_STILL_STATES, has_vertices_only(problem)
     ways = [vertex_strategy(problem, plan)] if few or alone else []
 
     def beside(results: Results) -> str | None:
