@@ -311,8 +311,9 @@ def _across(means: FloatArray, edges: tuple[FloatArray, ...]) -> FloatArray:
 Part = tuple[float, int, int]
 """A size of the noise along an axis, and the first point that is read under it and the one after the last."""
 
-Tables = dict[tuple[int, tuple[Part, ...]], Bands]
-"""By axis and parts, weights of what is around each of their points. Images that move in time often have the same."""
+Tables = dict[tuple[int, float, float, tuple[Part, ...]], Bands]
+"""By axis, the least and the most size, which say where points are, and parts: weights of what is around their points.
+Images that move in time often have the same."""
 
 
 class Reading:
@@ -326,6 +327,7 @@ class Reading:
         self.smoothing, places, parts = list[Bands](), list[NDArray[np.int64]](), list[FloatArray]()
         shape = list[int]()
         for k, axis in enumerate(edges):
+            # Noise that is small beside the narrowest cell is as good as none.
             least = max(sizes[k].min(), AS_NONE * np.diff(axis).min())
             least, most = (float(f"{own:.2e}") for own in (least, max(sizes[k].max(), least)))
             levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
@@ -338,12 +340,13 @@ class Reading:
             each = tuple((own, *_rounded(some, len(lattice))) for own, some in ways)
             starts, lengths = (np.array(own) for own in zip(*[(i, j - i) for _, i, j in each], strict=True))
             offsets = np.cumsum(lengths) - lengths
-            if (k, each) not in tables:
+            key = k, least, most, each
+            if key not in tables:
                 if len(tables) >= MOST_TABLES:
                     tables.clear()
                 rows = np.concatenate([_hats(lattice[i:j], axis, own, noises[k]) for own, i, j in each])
-                tables[k, each] = Bands.of(np.where(rows > FAINT, rows, 0.0))
-            self.smoothing.append(tables[k, each])
+                tables[key] = Bands.of(np.where(rows > FAINT, rows, 0.0))
+            self.smoothing.append(tables[key])
             shape.append(int(lengths.sum()))
             share = np.clip((y[k] - lattice[below]) / (lattice[below + 1] - lattice[below]), 0.0, 1.0)
             first = offsets[nearest] + below - starts[nearest]
