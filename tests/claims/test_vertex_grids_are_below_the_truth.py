@@ -336,6 +336,18 @@ def test_noise_whose_size_varies_has_no_lattice() -> None:
         Backups(problem, edges, (True, True), 6.8, None, np.array([[-1e5, -1], [1e5, 1]])).lattice.step.hex()
 
 
+@pytest.mark.parametrize("size", ["0.25 + 0.1*u^2", "0.25 + 0.02*t"])
+def test_a_lattice_is_not_for_noise_whose_size_inputs_or_the_time_decide(size: str) -> None:
+    more = {"noise_std": [1.0, 1.0], "noise_scale": ["0.25", size]}
+    problem, edges, _ = on_grid("two states", 0, **more)
+    window = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    with pytest.raises(Refused, match="whatever inputs are"):
+        Backups(problem, edges, (True, True), 6.8, None, window).lattice.step.hex()
+    # and by default it proves something
+    found = cg.synthesize(problem_of("two states", **more), relation="vertices", effort=4.0)
+    assert found.lower_bound > 0.05 and cg.check(found.certificate)
+
+
 def test_edges_lie_where_dynamics_have_corners() -> None:
     more = {"dynamics": ["x + 0.2*y", "0.9*y - 0.3*max(2*y, 0.7) + 0.5*u - 0.1*y*abs(0.2 - x)"]}
     problem = read_problem({"problem": canonical_problem(problem_of("two states", **more))})

@@ -44,6 +44,7 @@ from ....envs.systems.distributions import Law
 from ...checker import CheckedAgent, CheckedProblem, Refused
 from ...checker.cells import start_weights
 from ...checker.distributions import NORMAL
+from ...checker.expressions import names_in
 from ...checker.formula import wrong_automaton
 from ...checker.intervals import up
 from ...checker.motions import cell_boxes, cell_labels
@@ -239,6 +240,8 @@ class Backups:
     @cached_property
     def deviations(self) -> Array:
         """Deviations (d,) of the noise along each axis; ``Refused`` where it is of another law, or its size varies."""
+        if names_in(self.agent.scale) - {*self.agent.states}:
+            raise Refused("a lattice is for noise of one size, whatever inputs are, and at all times")
         at, (low, high) = vertices_of(self.edges), self.agent.input_box
         middle = np.repeat((0.5 * low + 0.5 * high)[None], at.shape[1], axis=0)
         return deviations_of(np.abs(images_at(self.agent, at, middle, 0)[0][len(at) :]), self.noises)
