@@ -127,7 +127,19 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) or has_grid else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
-    return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
+    if not plan.paths:
+        return _on_grids(problem, kinds, plan)
+    moving = [_moving(problem, plan)] if moves_with_runs(problem) else []
+    return [*moving, *_on_grids(problem, kinds, plan), path_strategy(problem, plan)]
+
+
+def _moving(problem: Problem, plan: Plan) -> Strategy:
+    """Return the way on grids of vertices that move with the runs of a path, where there is one."""
+
+    def why_not(results: Results) -> str | None:
+        return None if "path" in results else "skipped: there is no path that a grid could move along"
+
+    return replace(vertex_strategy(problem, plan), why_not=why_not)
 
 
 def _strategies_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
@@ -156,6 +168,8 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     # cells of tasks that are written out in time are as many as there are steps, which costs little on a line
     few, alone = problem.n_agents == 1 and problem.agents[0].n_states == MOST_STILL_STATES, has_vertices_only(problem)
     ways = [vertex_strategy(problem, plan)] if few or alone else []
+    if not ways and moves_with_runs(problem):
+        ways = [_moving(problem, plan)]
 
     def beside(results: Results) -> str | None:
         # cells have inputs that jump, which is better for some
@@ -311,6 +325,13 @@ def has_other_noise(problem: Problem) -> bool:
     """Return whether the problem is of one agent with noise that linear cells do not know: of other laws or sizes."""
     agent = problem.agents[0]
     return problem.n_agents == 1 and (agent.noise_scale is not None or agent.laws is not None)
+
+
+def moves_with_runs(problem: Problem) -> bool:
+    """Return whether a grid of one agent with three states can move with runs: its noise is normal, and of one size."""
+    agent = problem.agents[0]
+    is_alone = problem.n_agents == 1 and agent.n_states == MOST_GRID_STATES
+    return is_alone and not has_other_noise(problem) and agent.has_independent_noise
 
 
 def has_shared_noise(problem: Problem) -> bool:

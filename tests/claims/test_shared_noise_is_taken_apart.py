@@ -74,7 +74,7 @@ def test_cells_inside_hold_no_state_outside(name: str) -> None:
     low, high = problem.workspace
     out = np.any((x < low[:, None]) | (x > high[:, None]), axis=0)
     cells = tuple(2 * (np.searchsorted(axis, own) - 1) for axis, own in zip(edges, z, strict=True))
-    assert out.any() and not np.any(steps.inside[cells][out]) and steps.inside.mean() > 0.3
+    assert out.any() and not np.any(steps.inside(0)[cells][out]) and steps.inside(0).mean() > 0.3
     # nothing is worth anything there, whatever comes later
     values, nothing = steps.at_end()
     W = steps.after_letter(np.ones_like(values), nothing, 0, 1)

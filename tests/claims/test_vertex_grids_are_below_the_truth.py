@@ -330,10 +330,10 @@ def test_tables_of_a_lattice_are_as_exact_as_is_said(width: float) -> None:
 def test_noise_whose_size_varies_has_no_lattice() -> None:
     with pytest.raises(Refused, match="one size"):
         problem, edges, _ = on_grid("one state, its noise grows with it", 0)
-        Backups(problem, edges, (True,), 6.8, None, np.array([[-2.0], [2.0]])).lattice.step.hex()
+        Backups(problem, edges, (True,), 6.8, None, np.array([[-2.0], [2.0]])).lattice(0).step.hex()
     with pytest.raises(Refused, match="numbers"):
         problem, edges, _ = on_grid("two states", 0)
-        Backups(problem, edges, (True, True), 6.8, None, np.array([[-1e5, -1], [1e5, 1]])).lattice.step.hex()
+        Backups(problem, edges, (True, True), 6.8, None, np.array([[-1e5, -1], [1e5, 1]])).lattice(0).step.hex()
 
 
 @pytest.mark.parametrize("size", ["0.25 + 0.1*u^2", "0.25 + 0.02*t"])
@@ -342,7 +342,7 @@ def test_a_lattice_is_not_for_noise_whose_size_inputs_or_the_time_decide(size: s
     problem, edges, _ = on_grid("two states", 0, **more)
     window = np.array([[-1.0, -1.0], [1.0, 1.0]])
     with pytest.raises(Refused, match="whatever inputs are"):
-        Backups(problem, edges, (True, True), 6.8, None, window).lattice.step.hex()
+        Backups(problem, edges, (True, True), 6.8, None, window).lattice(0).step.hex()
     # and by default it proves something
     found = cg.synthesize(problem_of("two states", **more), relation="vertices", effort=4.0)
     assert found.lower_bound > 0.05 and cg.check(found.certificate)
@@ -497,7 +497,10 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
     monkeypatch.setattr(images, "BESIDE", 100.0)
     monkeypatch.setattr(Normal, "beyond", lambda self, distance, sigma, side: np.zeros(len(distance)))
 
-    monkeypatch.setattr(images.Means, "of", lambda centre, edges, noisy, near: means(centre, edges, noisy, 8.0))
+    def with_all(centre: Any, shape: Any, edges: Any, noises: Any, near: float) -> images.Means:
+        return means(centre, shape, edges, noises, 8.0)
+
+    monkeypatch.setattr(images.Means, "of", with_all)
     # Nothing but two places far apart, so that means in between are convex.
     problem, edges, rng = on_grid("two states", 0)
     steps = Backups(problem, edges, (True, True), 0.3)

@@ -24,8 +24,8 @@ class VertexController(PathController):
     problem : Problem
         Of one agent.
     paths : ()
-    edges : d arrays (n + 1,)
-        Edges of cells along each axis, increasing.
+    edges : d arrays (n + 1,) or (T + 1, n + 1)
+        Edges of cells along each axis, increasing; or those of each time.
     vertex_inputs : (L, V, m) array
         Inputs at all vertices, the last axis running fastest.
     laws : (T, Q) int array
@@ -42,7 +42,7 @@ class VertexController(PathController):
     matrix: FloatArray | None = None
 
     def __repr__(self) -> str:
-        rows = [("cells", [len(axis) - 1 for axis in self.edges]), ("laws", len(self.vertex_inputs))]
+        rows = [("cells", [axis.shape[-1] - 1 for axis in self.edges]), ("laws", len(self.vertex_inputs))]
         return tree_text(f"VertexController of {self.problem.name!r}", rows)
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
@@ -55,9 +55,11 @@ class VertexController(PathController):
 
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return inputs (m, M) at states (d, M), automaton states (M,) and a time, within the input box."""
-        which = self.laws[min(time, len(self.laws) - 1)][np.asarray(q)]
+        now = min(time, len(self.laws) - 1)
+        which = self.laws[now][np.asarray(q)]
         places = states if self.matrix is None else self.matrix @ states
-        result = interpolated(self.edges, self.vertex_inputs, places, which)
+        edges = [axis if axis.ndim == 1 else axis[now] for axis in self.edges]
+        result = interpolated(edges, self.vertex_inputs, places, which)
         own = self.problem.agents[0]
         return np.clip(result, own.input_low[:, None], own.input_high[:, None])
 

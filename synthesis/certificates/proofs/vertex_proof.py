@@ -25,8 +25,8 @@ class VertexProof(FailureProof):
 
     Parameters
     ----------
-    edges : d arrays (n + 1,)
-        Edges of cells along each axis, which tile the workspace of the agent.
+    edges : d arrays (n + 1,) or (T + 1, n + 1)
+        Edges of cells along each axis, which tile the workspace of the agent; or those of each time, inside of it.
     inputs : (L, V, m) array
         Inputs at vertices, the last axis running fastest; between them they are interpolated.
     laws : (T, Q) int array
@@ -35,8 +35,9 @@ class VertexProof(FailureProof):
         Along which axes values may jump from cell to cell; along others they are made continuous.
     near : float
         Deviations of the noise that are looked at; what is further away costs its probability.
-    window : (2, d) array or None
-        Ends of the lattice on which second derivatives are bounded, where all noise is normal and of one size.
+    window : (2, d) array, (T + 1, 2, d) array or None
+        Ends of the lattice on which second derivatives are bounded, where all noise is normal and of one size; those
+        of each time where edges are.
     failure : float
         Upper bound on the probability that the task is not satisfied.
     matrix : (d, d) array or None
@@ -62,8 +63,14 @@ class VertexProof(FailureProof):
     @property
     def method(self) -> str:
         """How the bound was found, in words."""
-        cells = " x ".join(str(len(axis) - 1) for axis in self.edges)
-        return f"value iteration on {cells} cells, inputs interpolated between vertices"
+        cells = " x ".join(str(axis.shape[-1] - 1) for axis in self.edges)
+        moving = " that move with runs" if self.moves else ""
+        return f"value iteration on {cells} cells{moving}, inputs interpolated between vertices"
+
+    @property
+    def moves(self) -> bool:
+        """Whether the grid is another one at each time."""
+        return any(axis.ndim > 1 for axis in self.edges)
 
     def controller(self, problem: Problem) -> VertexController:
         """Return the controller the bound belongs to."""
@@ -89,12 +96,15 @@ class VertexProof(FailureProof):
             raise ValueError("its problem has several agents, and a grid of vertices is of one")
         agent, entries = problem.agents[0], stored.entry["edges"]
         edges = tuple(stored.numbers(number) for number in entries)
+        times = problem.horizon + 1
         fits = len(edges) == agent.n_states and all(
-            axis.ndim == 1 and len(axis) > 1 and np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)
+            axis.shape[:-1] in ((), (times,)) and axis.shape[-1] > 1
+            and np.all(np.isfinite(axis)) and np.all(np.diff(axis, axis=-1) > 0.0)
             for axis in edges
-        )
+        )  # fmt: skip
+        moves = fits and any(axis.ndim > 1 for axis in edges)
         inputs, laws = stored.numbers(stored.entry["inputs"]), stored.array(stored.entry["laws"])
-        shape = (math.prod(len(axis) for axis in edges) if fits else 0, agent.n_inputs)
+        shape = (math.prod(axis.shape[-1] for axis in edges) if fits else 0, agent.n_inputs)
         if not fits or inputs.ndim != 3 or inputs.shape[1:] != shape or not np.all(np.isfinite(inputs)):
             raise ValueError("its inputs do not fit its grid")
         whole = is_whole(laws, signed=True) and laws.shape == (problem.horizon, problem.automaton.n_states)
@@ -107,7 +117,8 @@ class VertexProof(FailureProof):
         if not isinstance(near, float):
             raise ValueError("it does not say how far it looks")
         window = stored.numbers(stored.entry["window"]) if "window" in stored.entry else None
-        if window is not None and (window.shape != (2, agent.n_states) or not np.all(np.isfinite(window))):
+        ends = (times, 2, agent.n_states) if moves else (2, agent.n_states)
+        if window is not None and (window.shape != ends or not np.all(np.isfinite(window))):
             raise ValueError("its lattice has no ends along each axis")
         matrix = stored.numbers(stored.entry["matrix"]) if "matrix" in stored.entry else None
         if matrix is not None and (matrix.shape != (agent.n_states,) * 2 or not np.all(np.isfinite(matrix))):

@@ -1,7 +1,7 @@
 """Value iteration on grids whose vertices have inputs: one agent, noise along each axis or none, of any law and size.
 
 At time t and in automaton state q the value V_t(q, .) is multilinear on each cell, or 0 on all of it, and 0 outside the
-workspace. Let W be V_(t+1) in the state that the letter leads to (the least one if it is not known), made continuous
+grid, which may be another one at each time. Let W be V_(t+1) in the state that the letter leads to (the least one if it is not known), made continuous
 from below along axes without noise and others that are named, and F(x) = E W(y(x) + noise), y the image under
 interpolated inputs (``closed_loops``), sigma the sizes of the noise.
 
@@ -59,6 +59,7 @@ from .noise_bounds import Noise, noise_of
 KEPT = 6e7  # numbers of images that are kept
 NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
 FARTHEST = 30.0  # the most of them
+LETTERS = 4  # times whose letters are kept
 FINEST = 1e6  # how many sides of a cell the ends of an axis may be away from 0
 
 
@@ -79,7 +80,8 @@ def failure_of(
     that are more than ``near`` deviations of the noise away are left out, which is charged. Second derivatives are
     bounded on a lattice around a ``window`` (2, d), or feature by feature (None). Noise has the laws ``noise_laws`` of
     its sources, or is normal (None). The grid is one of ``matrix @ x``, or of the states x (None): those coordinates
-    in which the noise is independent, and no other ones (``coordinates``).
+    in which the noise is independent, and no other ones (``coordinates``). Edges (T + 1, n + 1) of an axis are those
+    of each time: they lie in the workspace; edges (n + 1,), of all times, tile it.
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():
@@ -112,6 +114,7 @@ class Backups:
     window: Array | None = None
     images: dict[tuple[int, bytes], Images | LatticeImages] = field(default_factory=dict)
     letters: dict[int, list[tuple[dict[int, bool], Truth]]] = field(default_factory=dict)
+    lattices: dict[int, Lattice] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.problem.agents) != 1 or self.problem.pairs:
@@ -126,17 +129,19 @@ class Backups:
             raise Refused(f"the grid has another number of axes than `{agent.name}` has states")
         if not 0.0 < self.near <= FARTHEST:
             raise Refused(f"it looks {self.near:g} deviations of the noise far, not up to {FARTHEST:g}")
-        for axis in self.edges:
+        for axis, low, high in zip(self.edges, *agent.state_box, strict=True):
             # what is no number is smaller than nothing
+            widths = np.diff(axis, axis=-1)
             if (
-                len(axis) < 2
-                or not np.all(np.diff(axis) * FINEST >= np.abs(axis).max())
-                or np.any(np.diff(axis) <= 0.0)
+                not widths.size
+                or not np.all(widths * FINEST >= np.abs(axis).max(axis=-1, keepdims=True))
+                or np.any(widths <= 0.0)
             ):
                 raise Refused("an axis has fewer than two numbers, does not increase, or is too fine")
-        low, high = (np.array([axis[k] for axis in self.edges]) for k in (0, -1))
-        if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):
-            raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
+            if axis.ndim == 1 and (axis[0] != low or axis[-1] != high):
+                raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
+            if axis.ndim > 1 and (axis.shape[:-1] != (self.problem.horizon + 1,) or axis.min() < low or axis.max() > high):
+                raise Refused(f"the cells of `{agent.name}` do not lie in its workspace at each time")
         if isinstance(self.problem, Independent):
             self.problem.refuse_fine(self.edges)
 
@@ -148,7 +153,16 @@ class Backups:
     @property
     def shape(self) -> tuple[int, ...]:
         """Numbers of cells along the axes."""
-        return tuple(len(axis) - 1 for axis in self.edges)
+        return tuple(axis.shape[-1] - 1 for axis in self.edges)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the grid is another one at each time."""
+        return any(axis.ndim > 1 for axis in self.edges)
+
+    def edges_at(self, t: int) -> tuple[Array, ...]:
+        """Return the edges (n + 1,) of each axis at a time."""
+        return tuple(axis[t] if axis.ndim > 1 else axis for axis in self.edges)
 
     @property
     def noisy(self) -> list[bool]:
@@ -184,12 +198,11 @@ class Backups:
                 later[ways[q]] = True
         return result & ~np.array(automaton.dead())
 
-    @cached_property
-    def inside(self) -> Truth:
-        """Which cells, at both ends of every interval, lie in the workspace of the states."""
+    def inside(self, t: int) -> Truth:
+        """Return which cells of a time, at both ends of every interval, lie in the workspace of the states."""
         if not isinstance(self.problem, Independent):
             return np.ones(tuple(2 * n for n in self.shape), dtype=bool)
-        return np.asarray(doubled(self.problem.inside(*cell_boxes(self.edges)).reshape(self.shape)))
+        return np.asarray(doubled(self.problem.inside(*cell_boxes(self.edges_at(t))).reshape(self.shape)))
 
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
@@ -217,7 +230,7 @@ class Backups:
 
     def images_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead, made once where that does not depend on the time."""
-        key = t if names_time(self.agent) else 0, inputs.tobytes()
+        key = t if names_time(self.agent) or self.moves else 0, inputs.tobytes()
         found = self.images.pop(key, None)
         if found is None:
             low, high = self.agent.input_box
@@ -232,25 +245,29 @@ class Backups:
 
     def image_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
-        loop = closed_loop(self.agent, self.edges, inputs, t)
+        loop = closed_loop(self.agent, self.edges_at(t), inputs, t)
         if self.window is None:
-            return Images.of(loop, self.edges, self.noises, self.near)
-        return LatticeImages.of(loop, self.lattice, self.noises, self.near)
+            return Images.of(loop, self.edges_at(t + 1), self.noises, self.near)
+        return LatticeImages.of(loop, self.lattice(t + 1), self.noises, self.near)
 
     @cached_property
     def deviations(self) -> Array:
         """Deviations (d,) of the noise along each axis; ``Refused`` where it is of another law, or its size varies."""
         if names_in(self.agent.scale) - {*self.agent.states}:
             raise Refused("a lattice is for noise of one size, whatever inputs are, and at all times")
-        at, (low, high) = vertices_of(self.edges), self.agent.input_box
+        at, (low, high) = vertices_of(self.edges_at(0)), self.agent.input_box
         middle = np.repeat((0.5 * low + 0.5 * high)[None], at.shape[1], axis=0)
         return deviations_of(np.abs(images_at(self.agent, at, middle, 0)[0][len(at) :]), self.noises)
 
-    @cached_property
-    def lattice(self) -> Lattice:
-        """The lattice around the window."""
+    def lattice(self, t: int) -> Lattice:
+        """Return the lattice around the window of a time; the last one is kept."""
         assert self.window is not None
-        return Lattice.of(self.edges, self.deviations, self.window)
+        key = t if self.moves else 0
+        if key not in self.lattices:
+            self.lattices.clear()
+            window = self.window[t] if self.moves else self.window
+            self.lattices[key] = Lattice.of(self.edges_at(t), self.deviations, window)
+        return self.lattices[key]
 
     def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
         """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.
@@ -259,17 +276,19 @@ class Backups:
         """
         automaton = self.problem.automaton
         moves = any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in self.problem.regions)
-        t = t if moves else 0
+        t = t if moves or self.moves else 0
         if t not in self.letters:
+            if len(self.letters) >= LETTERS:
+                self.letters.clear()
             here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in self.problem.regions]
-            labels = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges)[1]
+            labels = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges_at(t))[1]
             mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
             kinds, which = np.unique(labels, axis=0, return_inverse=True)
             known = [{p: label > 0 for p, label in zip(mine, kind, strict=True) if label} for kind in kinds.tolist()]
-            self.letters[t] = [(own, doubled(which.reshape(self.shape) == k)) for k, own in enumerate(known)]
+            inside = self.inside(t)
+            self.letters[t] = [(own, doubled(which.reshape(self.shape) == k) & inside) for k, own in enumerate(known)]
         result = np.zeros(tuple(2 * n for n in self.shape))
         for letter, where in self.letters[t]:
-            where = where & self.inside
             each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, letter)]
             result = np.where(where, np.min(each, axis=0), result)
         return result
@@ -312,13 +331,13 @@ class Backups:
         if isinstance(self.problem, Independent):
             # a point that is known up to rounding: in a cell the least value is that at a corner
             places = [
-                np.searchsorted(axis, own, side="right") for axis, own in zip(self.edges, starts[0].T, strict=True)
+                np.searchsorted(axis, own, side="right") for axis, own in zip(self.edges_at(0), starts[0].T, strict=True)
             ]
             if any(first != last for first, last in places):
                 raise Refused("the start may lie on either side of an edge")
             starts = start_points(self.agent)
         # Weights are lower bounds, and no number is negative.
-        each = [float(start_weights(own, self.edges, True) @ W.ravel()) for own in starts]
+        each = [float(start_weights(own, self.edges_at(0), True) @ W.ravel()) for own in starts]
         value = max(0.0, min(each) * (1.0 - 4.0 * U * W.size))
         return float(np.clip(up(1.0 - value), 0.0, 1.0))
 

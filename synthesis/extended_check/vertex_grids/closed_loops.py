@@ -20,7 +20,7 @@ axis after the other adds up ``(u - l) / 4``, or an eighth of second derivatives
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -39,9 +39,11 @@ class ClosedLoop:
     """Images, means first and sizes after.
 
     ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S) and ``off`` (2 d, S), and along each
-    axis ends of ``slopes`` (d, 2, 2 d, S), and sizes of ``bends`` (d, 2 d, S).
+    axis ends of ``slopes`` (d, 2, 2 d, S), and sizes of ``bends`` (d, 2 d, S). The grid that they are of has ``shape``
+    vertices along each axis.
     """
 
+    shape: tuple[int, ...]
     centre: Array
     rho: Array
     ends: Array
@@ -52,7 +54,7 @@ class ClosedLoop:
     def over(self, units: Array) -> ClosedLoop:
         """Return the same in units (d,) of each axis, powers of 2."""
         both = np.tile(units, 2)[:, None]
-        return ClosedLoop(*(getattr(self, own.name) / both for own in fields(self)))
+        return replace(self, **{own.name: getattr(self, own.name) / both for own in fields(self) if own.name != "shape"})
 
 
 def corners_of(values: Array, d: int) -> Array:
@@ -100,7 +102,7 @@ def closed_loop(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int) -
             reached = add(reached, np.stack([np.minimum(way[0], 0.0), np.maximum(way[1], 0.0)]))
         on_cells = np.stack([np.maximum(on_cells[0], reached[0]), np.minimum(on_cells[1], reached[1])])
     rates, curves, off_chords = _across_kinks(np.stack(slopes), np.stack(bends), centre, rho, shape)
-    return ClosedLoop(centre, rho, on_cells, rates, curves, off_chords)
+    return ClosedLoop(shape, centre, rho, on_cells, rates, curves, off_chords)
 
 
 def _across_kinks(

@@ -58,7 +58,7 @@ class Independent(CheckedProblem):
     def refuse_fine(self, edges: tuple[Array, ...]) -> None:
         """Raise ``Refused`` where cells are so narrow that what controllers round coordinates by counts."""
         terms = np.abs(self.matrix) @ np.abs(self.workspace).max(axis=0)
-        widths = np.array([np.diff(axis).min() for axis in edges])
+        widths = np.array([np.diff(axis, axis=-1).min() for axis in edges])
         if not np.all(widths * FINEST >= terms):
             raise Refused("cells are too narrow for coordinates that are rounded")
 

@@ -63,13 +63,13 @@ def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
     return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
 
 
-def with_vertices(ends: Array, at: Array, rho: Array, off: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
+def with_vertices(ends: Array, at: Array, rho: Array, off: Array, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Return what images of cells and of their vertices may be off by (k, S), and ends (2, k, S), theirs among them.
 
     What is read at a vertex, and where it may lead, belongs to the images of cells, too: ``at`` and ``rho`` (k, V);
-    ``off`` (k, S) is of cells alone.
+    ``off`` (k, S) is of cells alone. The grid has ``shape`` vertices along each axis.
     """
-    shape, d = tuple(len(axis) for axis in edges), len(edges)
+    d = len(shape)
     largest, least, most = (
         np.stack([corners_of(own.reshape(shape), d).reshape(ends.shape[2], -1).max(axis=1) for own in table])
         for table in (rho, rho - at, at + rho)
@@ -98,12 +98,20 @@ class Means:
     count: int
 
     @classmethod
-    def of(cls, centre: Array, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Means:
+    def of(
+        cls,
+        centre: Array,
+        shape: tuple[int, ...],
+        edges: tuple[Array, ...],
+        noises: Sequence[Noise | None],
+        near: float,
+    ) -> Means:
         """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none.
 
-        Where there is noise what is more than ``near`` deviations away is left out.
+        The grid has ``shape`` vertices along each axis, and leads to one with these edges. Where there is noise what
+        is more than ``near`` deviations away is left out.
         """
-        d, shape = len(edges), tuple(len(axis) for axis in edges)
+        d = len(edges)
         known, size = np.all(np.isfinite(centre), axis=0), _sizes(centre[d:], noises)
         first, last, each = [], [], []
         for k, axis in enumerate(edges):
@@ -193,8 +201,8 @@ class Images:
 
     @classmethod
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
-        """Return the images of a closed loop, which look ``near`` deviations of the noise far."""
-        d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
+        """Return the images of a closed loop on a grid with these edges, ``near`` deviations of the noise far."""
+        d, cells = len(edges), tuple(n - 1 for n in loop.shape)
         # numbers in single precision that are very small count as more than they are, so none may be for its units
         units = np.exp2(np.round(np.log2([float(np.median(np.diff(axis))) for axis in edges])))
         edges, loop = tuple(axis / unit for axis, unit in zip(edges, units, strict=True)), loop.over(units)
@@ -204,7 +212,7 @@ class Images:
                 ends[:, k] = np.where(ends[0, k] < 0.0, -ends[::-1, k], ends[:, k])
         slopes = np.abs(loop.slopes).max(axis=1)
         known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(slopes + loop.bends), axis=(0, 1))
-        rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, loop.off, edges)
+        rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, loop.off, loop.shape)
         known &= np.all(np.isfinite(rho), axis=0)
         for k, axis in enumerate(edges):
             inside = ends[0, d + k] > SMALLEST if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
@@ -235,10 +243,10 @@ class Images:
                 )
                 if noise is not None and own.start > 0:
                     beyond[some] += noise.beyond(y[0] - axis[0], sigma[1], -1)
-                if noise is not None and own.stop < cells[k]:
+                if noise is not None and own.stop < len(edges[k]) - 1:
                     beyond[some] += noise.beyond(axis[-1] - y[1], sigma[1], 1)
             blocks.append((some, windows, weights))
-        return cls(edges, Means.of(loop.centre, edges, noises, near), blocks, beyond, known)
+        return cls(edges, Means.of(loop.centre, loop.shape, edges, noises, near), blocks, beyond, known)
 
     def cost(self, W: Array) -> tuple[Array, Array]:
         """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""

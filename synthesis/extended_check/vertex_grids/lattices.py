@@ -268,7 +268,7 @@ class LatticeImages:
         d, edges, noisy = len(lattice.edges), lattice.edges, lattice.noisy
         known = np.all(np.isfinite(loop.ends), axis=(0, 1)) & np.all(np.isfinite(loop.bends), axis=(0, 1))
         known &= np.all(np.isfinite(loop.slopes), axis=(0, 1, 2))
-        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], loop.off[:d], edges)
+        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], loop.off[:d], loop.shape)
         known &= np.all(np.isfinite(rho), axis=0) & np.all(np.isfinite(ends), axis=(0, 1))
         sizes = loop.ends[:, d:][:, noisy]
         known &= np.all(np.abs(sizes - lattice.deviation[noisy, None]) <= SAME * sizes[1], axis=(0, 1))
@@ -295,7 +295,7 @@ class LatticeImages:
         p = 0.5 * slopes[:, 0] + 0.5 * slopes[:, 1]
         q = np.maximum(up(slopes[:, 1] - p), up(p - slopes[:, 0])) + 1e-15 * np.abs(p)
         whole = [own[:, cells].astype(np.int64) for own in (start, count)]
-        vertices = Means.of(loop.centre, edges, noises, near)
+        vertices = Means.of(loop.centre, loop.shape, edges, noises, near)
         bends, rho = loop.bends[:, :d, cells] / unit[:, None], rho[:, cells] / unit[:, None]
         return cls(lattice, vertices, known, cells, whole[0], whole[1], p, q, bends, rho)
 

@@ -73,7 +73,51 @@ def grid_of(
         density[k] *= np.where((middles >= window[0, k]) & (middles <= window[1, k]), 1.0, OUTSIDE)
     # cells of an axis, one for each deviation
     lengths = finer * density.sum(axis=1) * (high - low) / PIECES
-    # As many cells per deviation along every axis, unless one has too few already.
+    counts = _counts(lengths, vertices)
+    return tuple(_axis(problem, k, density[k], round(counts[k])) for k in range(d))
+
+
+def moving_grid_of(
+    problem: CheckedProblem,
+    spreads: FloatArray,
+    vertices: int,
+    windows: FloatArray,
+    finer: FloatArray | float = 1.0,
+) -> tuple[FloatArray, ...]:
+    """Return edges (T + 1, n + 1) of grids of about so many vertices, one in the window (2, d) of each time."""
+    lengths = finer * np.mean((windows[:, 1] - windows[:, 0]) / spreads_in(problem, spreads, windows), axis=0)
+    counts = _counts(lengths, vertices)
+    result = []
+    for k, count in enumerate(counts):
+        shares = np.linspace(0.0, 1.0, round(count) + 1)
+        edges = windows[:, 0, k, None] * (1.0 - shares) + windows[:, 1, k, None] * shares
+        edges[:, -1] = windows[:, 1, k]
+        for t, axis in enumerate(edges):
+            _move_to_faces(axis, [face for face in _faces(problem, k, t) if axis[0] < face < axis[-1]])
+        result.append(edges)
+    return tuple(result)
+
+
+def spreads_in(problem: CheckedProblem, spreads: FloatArray, windows: FloatArray) -> FloatArray:
+    """Return the size of the noise (T + 1, d) along each axis in the middle of windows (T + 1, 2, d)."""
+    low, high = problem.agents[0].state_box
+    place = (windows.mean(axis=1) - low) / (high - low) * PIECES
+    return np.stack([own[np.clip(at.astype(int), 0, PIECES - 1)] for own, at in zip(spreads, place.T, strict=True)], -1)
+
+
+def _move_to_faces(axis: FloatArray, faces: Sequence[float]) -> None:
+    """Move the inner edge that is nearest to each face there, unless it lies at another one: their number stays."""
+    taken = {0, len(axis) - 1}
+    for face in faces:
+        nearest = int(np.argmin(np.abs(axis - face)))
+        if nearest not in taken:
+            axis[nearest] = face
+            taken.add(nearest)
+
+
+def _counts(lengths: FloatArray, vertices: int) -> FloatArray:
+    """Return numbers (d,) of cells, as many for each deviation along every axis, unless one has too few already."""
+    d = len(lengths)
     counts, free = np.full(d, float(FEWEST)), list(range(d))
     while free:
         share = (vertices / np.prod(counts[[k for k in range(d) if k not in free]] + 1.0)) ** (1.0 / len(free))
@@ -83,7 +127,7 @@ def grid_of(
             counts[free] = factor * lengths[free]
             break
         free = [k for k in free if k not in few]
-    return tuple(_axis(problem, k, density[k], round(counts[k])) for k in range(d))
+    return counts
 
 
 def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> FloatArray:
@@ -110,17 +154,17 @@ def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> F
     return edges
 
 
-def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
+def _faces(problem: CheckedProblem, k: int, t: int | None = None) -> Sequence[float]:
     """Return the faces of regions across axis k that lie inside of the workspace, and where the dynamics have corners.
 
-    A cell that has a corner inside is charged for it.
+    They are those of a time, or of all times. A cell that has a corner inside is charged for it.
     """
-    agent = problem.agents[0]
+    agent, times = problem.agents[0], slice(None) if t is None else slice(t, t + 1)
     faces = set[float]()
     for region in problem.regions:
         for column, output in enumerate(region.outputs[0]):
             if agent.outputs[output] == agent.states[k]:
-                faces |= {*region.low[:, column].tolist(), *region.high[:, column].tolist()}
+                faces |= {*region.low[times, column].tolist(), *region.high[times, column].tolist()}
     corners = {at for tree in (*agent.dynamics, *agent.scale) for at in _corners(tree, agent.states[k])}
     low, high = agent.state_box[:, k].tolist()
     inside = [sorted(at for at in own if low < at < high)[:MOST_FACES] for own in (faces, corners)]

@@ -51,7 +51,10 @@ class Counted(Backups):
         largest = max((own.size for own in self.images.values()), default=0) * more**self._power
         # where those of one time are too many to be kept they are made anew at every time
         is_kept = max(each) * largest <= KEPT
-        images = {self._power: MORE_LAWS if is_kept else sum(each) / (1.0 + laws.max())}
+        if self.moves:  # images are made at every time as it is
+            images = {self._power: 1.0}
+        else:
+            images = {self._power: MORE_LAWS if is_kept else sum(each) / (1.0 + laws.max())}
         return sum(work * images.get(power, 1.0) * more**power for power, work in self.parts.items())
 
     @property

@@ -88,7 +88,8 @@ class Choice:
         self.steps, self.runs, self.aim, agent = steps, runs, aim, steps.agent
         sure = runs is not None and runs.failure < SURE
         self.crossed = 0.0 if is_coarse else CROSSED_SURE if sure else CROSSED
-        self.at, self.m = vertices_of(steps.edges), len(agent.inputs)
+        self.m, self.now = len(agent.inputs), -1
+        self._enter(steps.problem.horizon)
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
         self.axis = np.linspace(0.0, 1.0, self.count)
@@ -99,14 +100,21 @@ class Choice:
         self._add(np.full((self.at.shape[1], self.m), 0.5))
         self.known: tuple[int, tuple[Reading, FloatArray]] | None = None
         self.tables: Tables = {}
-        self.levels = _levels([len(axis) for axis in steps.edges])
-        # Widths of the cells beside a vertex.
-        widths = [np.diff(axis) for axis in steps.edges]
+        self.levels = _levels([n + 1 for n in steps.shape])
+
+    def _enter(self, t: int) -> None:
+        """Look at the vertices (d, V) of a time, and at widths of the cells beside them."""
+        if self.now >= 0 and not self.steps.moves:
+            return
+        self.now, edges = t, self.steps.edges_at(t)
+        self.at = vertices_of(edges)
+        widths = [np.diff(axis) for axis in edges]
         beside = [np.concatenate([own[:1], np.maximum(own[1:], own[:-1]), own[-1:]]) for own in widths]
         self.widths = np.stack(np.meshgrid(*beside, indexing="ij")).reshape(len(beside), -1)
 
     def of(self, values: FloatArray, t: int, later: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return which law acts in each automaton state (Q,), from those a step later, and values (Q, n_1 + 1, ..)."""
+        self._enter(t)
         automaton = self.steps.problem.automaton
         which, result = later.copy(), np.zeros_like(values)
         alike, nothing = dict[bytes, list[int]](), np.zeros((len(values), *self.steps.shape), bool)
@@ -128,11 +136,9 @@ class Choice:
         result = np.zeros(self.at.shape[1])
         if self.runs is not None:
             here = self.runs.states[t][:, np.isin(self.runs.q[t], states)]
-            each = [
-                np.rint(np.interp(x, axis, np.arange(len(axis))))
-                for x, axis in zip(here, self.steps.edges, strict=True)
-            ]
-            places = np.ravel_multi_index([own.astype(int) for own in each], [len(axis) for axis in self.steps.edges])
+            edges = self.steps.edges_at(t)
+            each = [np.rint(np.interp(x, axis, np.arange(len(axis)))) for x, axis in zip(here, edges, strict=True)]
+            places = np.ravel_multi_index([own.astype(int) for own in each], [len(axis) for axis in edges])
             np.add.at(result, places, 1.0 / RUNS)
         return result
 
@@ -238,7 +244,7 @@ class Choice:
     def _images(self, t: int) -> tuple[Reading, FloatArray]:
         """Return readings at images of all inputs that are tried, and squares (V, m) of how far inputs lead apart."""
         steps, agent, n = self.steps, self.steps.agent, self.at.shape[1]
-        if self.known is None or (names_time(agent) and self.known[0] != t):
+        if self.known is None or ((names_time(agent) or steps.moves) and self.known[0] != t):
             images = list[FloatArray]()
             # as many inputs at once as make long arrays
             for some in np.array_split(self.tried, min(len(self.tried), -(-len(self.tried) * n // IMAGES_AT_ONCE))):
@@ -253,11 +259,13 @@ class Choice:
                 apart[:, j] = np.nan_to_num(way).reshape(-1, n).max(axis=0) ** 2
             where, noises = np.concatenate(images, axis=1), steps.noises
             if self.crossed:
-                across = np.concatenate([_across(own[:d], steps.edges) for own in images], axis=1)
+                across = np.concatenate([_across(own[:d], steps.shape) for own in images], axis=1)
                 where[d:] = np.sqrt(where[d:] ** 2 + self.crossed * across)
                 # what is charged at kinks along axes without noise is smeared, too
                 noises = [Normal() if own is None else own for own in noises]
-            self.known = t, (Reading(where, steps.edges, noises, self.tables), apart)
+            if steps.moves:  # tables are of these edges
+                self.tables.clear()
+            self.known = t, (Reading(where, steps.edges_at(t + 1), noises, self.tables), apart)
         return self.known[1]
 
 
@@ -296,9 +304,9 @@ def _levels(lengths: Sequence[int]) -> list[Level]:
     return [Level(lengths, 2**power) for power in range(count, -1, -1)]
 
 
-def _across(means: FloatArray, edges: tuple[FloatArray, ...]) -> FloatArray:
+def _across(means: FloatArray, cells: tuple[int, ...]) -> FloatArray:
     """Return sums of squares (d, V) of what means (d, V) move by across the cells beside a vertex, along all axes."""
-    d, table = len(means), np.nan_to_num(means).reshape(len(means), *(len(axis) for axis in edges))
+    d, table = len(means), np.nan_to_num(means).reshape(len(means), *(n + 1 for n in cells))
     result = np.zeros_like(table)
     for k in range(1, d + 1):
         moved = np.abs(np.diff(table, axis=k))

@@ -13,12 +13,17 @@ from ....envs.simulation import Dynamics, batch_simulator
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...checker import CheckedProblem, followed, value_on
+from ...checker.tree import finished
 from ...extended_check.vertex_grids import Backups, images_at
 from ...relations.grids import FloatArray
+from .axis_edges import spreads_in
 
 RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
 deviations it is wider than that."""
+
+FEW = 30
+"""Undecided runs from which on a time has a window of its own."""
 
 UNSEEN = 3
 """Failures that runs may have missed: so many are expected at most where none is seen, with a probability of 95 %."""
@@ -45,7 +50,7 @@ class Runs:
         Hoped for is a failure, or what is seen in runs, if that is less: values of coarse grids are too low. Other
         numbers of the ``batch`` make other runs.
         """
-        problem, edges = steps.problem, steps.edges
+        problem = steps.problem
         agent, automaton = problem.agents[0], problem.automaton
         rng, d = np.random.default_rng([20261127, batch] if batch else 20261127), len(agent.states)
         low, high = agent.state_box
@@ -53,7 +58,7 @@ class Runs:
         q = _followed(problem, np.full(RUNS, automaton.initial), x, 0)
         states, each = [x], [q]
         for t in range(problem.horizon):
-            u = interpolated(edges, inputs[laws[t]], x, q).T
+            u = interpolated(steps.edges_at(t), inputs[laws[t]], x, q).T
             centre, _ = images_at(agent, x, u, t)
             drawn = [
                 own if noise is None else noise.drawn(own)
@@ -104,6 +109,18 @@ class Runs:
         ends = np.quantile(self.states, [QUANTILE, 1.0 - QUANTILE], axis=(0, 2))
         beside = BESIDE * np.median(spreads, axis=1)
         return np.stack([np.maximum(ends[0] - beside, low), np.minimum(ends[1] + beside, high)])
+
+    def windows(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
+        """Return windows (T + 1, 2, d) of states to which nearly all runs come that were undecided one step before."""
+        (low, high), automaton, ends = problem.agents[0].state_box, problem.automaton, list[FloatArray]()
+        is_open = ~(np.array(finished(automaton)) | np.array(automaton.dead()))
+        for t, states in enumerate(self.states):
+            some = states[:, is_open[self.q[max(t - 1, 0)]]]
+            some = some if some.shape[1] >= FEW else states if not ends else np.zeros((len(low), 0))
+            ends.append(np.quantile(some, [QUANTILE, 1.0 - QUANTILE], axis=1) if some.size else ends[-1])
+        result = np.stack(ends)
+        beside = BESIDE * spreads_in(problem, spreads, result)
+        return np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
 
 
 def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -> NDArray[Any]:

@@ -25,7 +25,7 @@ from ...extended_check.vertex_grids import (
 )
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
-from .axis_edges import grid_of, spreads_of
+from .axis_edges import grid_of, moving_grid_of, spreads_in, spreads_of
 from .counted_backups import BrokenOff, Counted
 from .input_choice import INPUTS, Choice
 from .sampled_runs import MANY, RUNS, Runs
@@ -84,6 +84,14 @@ LEFT, SEEN = (0.3, 1e-3), 30
 """No finer grid is tried where so little of the failure is charged, as a share and in all, that the rest is what the
 controller itself fails by, as far as its runs say: where it fails in so many of them.
 """
+
+MOVING, MOVING_WIDTH = {2: 0.25, 3: 1.0}, 1.6
+"""By the number of states, share of the cells of a grid at rest from which on one moves with runs, and deviations that
+its cells are wide at first."""
+
+POINT, FIRST_SHARE = 2e-6, 0.5
+"""Work of a point of a lattice in three states, at each time, on a grid that proves something, and the share of the
+work that is left which the first one may take."""
 
 WIDE = 1.5
 """Deviations from which on a cell is wide: values are continuous across it."""
@@ -164,19 +172,28 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
         alive = _within(alive, runs.window(checked, spreads))
         narrow = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
         full, vertices = alive, float(np.clip(narrow, vertices, most))
-    refuse_small_noise(spreads, full)
-    best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
+    narrow = None if runs is None else _moving_cells(checked, spreads, runs, noise_laws, work)
+    if runs is not None and narrow is None and states > 2:
+        raise RelationRefused("runs spread too wide for a grid of three states that moves with them")
+    best, levels, finer, aim = None, dict[str, float](), np.ones(len(spreads)), AIMS[0]
     try:
-        runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
-        aim = AIMS[0]
-        vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
+        if runs is None or narrow is None:
+            refuse_small_noise(spreads, full)
+            runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
+            vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
+        else:
+            vertices = float(np.clip(narrow, FIRST[states], most))
         while True:
-            window = _within(alive, runs.window(checked, spreads))
-            edges = grid_of(checked, spreads, round(vertices), window, finer)
+            if narrow is None:
+                window = _within(alive, runs.window(checked, spreads))
+                edges = grid_of(checked, spreads, round(vertices), window, finer)
+            else:
+                window = runs.windows(checked, spreads)
+                edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
             inputs, laws, failure, hoped = iterated(steps, runs, aim)
-            levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
+            levels[" x ".join(str(n) for n in steps.shape)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
             runs = runs.or_better(Runs.of(steps, inputs, laws, hoped))
@@ -205,6 +222,35 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             f"nothing is proved on grids of {', '.join(levels) or 'few'} cells; ask for more `effort`"
         )
     return best, levels
+
+
+def _moving_cells(
+    problem: CheckedProblem, spreads: FloatArray, runs: Runs, noise_laws: Sequence[Law] | None, work: CountedWork
+) -> float | None:
+    """Return about how many vertices a first grid that moves with runs has; None where one at rest is as good.
+
+    Windows around runs are small, so that three states have a lattice of second derivatives; without one cells of three
+    states are charged too much.
+    """
+    d = len(spreads)
+    if d not in MOVING or runs.failure >= POOR_GUESS:
+        return None
+    windows, window = runs.windows(problem, spreads), runs.window(problem, spreads)
+    lengths = (windows[:, 1] - windows[:, 0]) / spreads_in(problem, spreads, windows)
+    at_rest = (window[1] - window[0]) / np.median(spreads, axis=1)
+    if np.prod(lengths, axis=1).mean() > MOVING[d] * np.prod(at_rest):
+        return None
+    cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH
+    edges = moving_grid_of(problem, spreads, round(float(np.prod(cells))), windows)
+    steps = Backups(problem, edges, (True,) * d, NEAR, noise_laws)
+    steps.window = _lattice_around(steps, windows)
+    if d > 2:
+        if steps.window is None:
+            return None
+        points = sum(float(np.prod(steps.lattice(t).shape)) for t in range(1, problem.horizon + 1))
+        if POINT * points > FIRST_SHARE * (work.limit - work.spent):
+            return None
+    return float(np.prod(cells))
 
 
 def _coarse(
@@ -247,12 +293,13 @@ def _near(steps: Backups, failure: float) -> float:
 
 
 def _lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
-    """Return the ends (2, d) of a lattice around a window of states; None where the noise has none."""
+    """Return ends (.., 2, d) of a lattice around a window of states, of each time too; None where there is none."""
     box = steps.agent.state_box
     try:
         beyond = np.outer([-BEYOND, BEYOND], steps.deviations)
         ends = np.clip(window + beyond, *(box + beyond))
-        Lattice.of(steps.edges, steps.deviations, ends)
+        for t, own in enumerate(ends if steps.moves else [ends]):
+            Lattice.of(steps.edges_at(t), steps.deviations, own)
     except Refused:
         return None
     return ends
@@ -260,11 +307,12 @@ def _lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
 
 def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bool, ...]:
     """Return along which axes cells are so narrow, for the noise there, that jumps of values cost little."""
-    agent, at = problem.agents[0], vertices_of(edges)
+    agent, now = problem.agents[0], problem.horizon // 2
+    at = vertices_of(tuple(axis[now] if axis.ndim > 1 else axis for axis in edges))
     middle = np.repeat(agent.input_box.mean(axis=0)[None], at.shape[1], axis=0)
     sizes = np.abs(images_at(agent, at, middle, 0)[0][len(at) :])
     return tuple(
-        bool(np.median(np.diff(axis)) < WIDE * np.nanmedian(own)) for axis, own in zip(edges, sizes, strict=True)
+        bool(np.median(np.diff(axis, axis=-1)) < WIDE * np.nanmedian(own)) for axis, own in zip(edges, sizes, strict=True)
     )
 
 
