@@ -22,6 +22,10 @@ RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
 deviations it is wider than that."""
 
+STRETCHED = 0.6
+"""Share by which windows that move are wider than what nearly all runs keep to: along axes without noise of their own
+runs stray further than a few deviations."""
+
 FEW = 30
 """Undecided runs from which on a time has a window of its own."""
 
@@ -119,7 +123,7 @@ class Runs:
             some = some if some.shape[1] >= FEW else states if not ends else np.zeros((len(low), 0))
             ends.append(np.quantile(some, [QUANTILE, 1.0 - QUANTILE], axis=1) if some.size else ends[-1])
         result = np.stack(ends)
-        beside = BESIDE * spreads_in(problem, spreads, result)
+        beside = np.maximum(BESIDE * spreads_in(problem, spreads, result), STRETCHED * 0.5 * np.ptp(result, axis=1))
         return np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
 
 

@@ -85,7 +85,7 @@ LEFT, SEEN = (0.3, 1e-3), 30
 controller itself fails by, as far as its runs say: where it fails in so many of them.
 """
 
-MOVING, MOVING_WIDTH = {2: 0.25, 3: 1.0}, 1.6
+MOVING, MOVING_WIDTH = {2: 0.5, 3: 1.0}, 1.6
 """By the number of states, share of the cells of a grid at rest from which on one moves with runs, and deviations that
 its cells are wide at first."""
 
@@ -182,13 +182,13 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
             vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
         else:
-            vertices = float(np.clip(narrow, FIRST[states], most))
+            vertices, window = float(np.clip(narrow, FIRST[states], most)), runs.windows(checked, spreads)
         while True:
             if narrow is None:
                 window = _within(alive, runs.window(checked, spreads))
                 edges = grid_of(checked, spreads, round(vertices), window, finer)
             else:
-                window = runs.windows(checked, spreads)
+                window = _hull(window, runs.windows(checked, spreads))
                 edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
@@ -343,6 +343,11 @@ def iterated(
 
 def _within(outer: FloatArray, inner: FloatArray) -> FloatArray:
     return np.stack([np.maximum(outer[0], inner[0]), np.minimum(outer[1], inner[1])])
+
+
+def _hull(windows: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the least windows (T + 1, 2, d) around both."""
+    return np.stack([np.minimum(windows[:, 0], others[:, 0]), np.maximum(windows[:, 1], others[:, 1])], axis=1)
 
 
 def _alive(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> FloatArray:
