@@ -50,9 +50,10 @@ from ...checker.intervals import up
 from ...checker.motions import cell_boxes, cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
-from .closed_loops import closed_loop, corners_of, images_at, names_time, vertices_of
+from .closed_loops import ClosedLoop, closed_loop, corners_of, images_at, names_time, vertices_of
 from .coordinates import Independent, independent, start_points
-from .images import Images
+from .disturbances import AnyDisturbance, nodes_of, pieces_of
+from .images import Images, Vertices
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
 
@@ -233,9 +234,21 @@ class Backups:
     def image_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
         loop = closed_loop(self.agent, self.edges, inputs, t)
+        if not self.agent.disturbances:
+            return self._seen(loop)
+        pieces = self._seen(pieces_of(self.agent, self.edges, inputs, t, self.nodes))
+        # What disturbances may do is in the numbers at vertices: cells do not pay for it once more.
+        return self._seen(replace(loop, rho=0.0 * loop.rho), AnyDisturbance(pieces, self.nodes))
+
+    def _seen(self, loop: ClosedLoop, vertices: Vertices | None = None) -> Images | LatticeImages:
         if self.window is None:
-            return Images.of(loop, self.edges, self.noises, self.near)
-        return LatticeImages.of(loop, self.lattice, self.noises, self.near)
+            return Images.of(loop, self.edges, self.noises, self.near, vertices)
+        return LatticeImages.of(loop, self.lattice, self.noises, self.near, vertices)
+
+    @cached_property
+    def nodes(self) -> tuple[Array, ...]:
+        """The ends of pieces of the interval of each disturbance."""
+        return nodes_of(self.agent, self.edges, self.noises)
 
     @cached_property
     def deviations(self) -> Array:
