@@ -175,6 +175,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             edges = grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
+            if best is not None and best.window is not None and steps.window is None and steps.agent.disturbances:
+                break  # pieces of disturbances stay as wide, and without a lattice more is charged on them
             inputs, laws, failure, hoped = iterated(steps, runs, aim)
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
