@@ -28,6 +28,8 @@ A kink that y crosses leaves at most kappa (|y'| + |y''|) s (1 - s), since betwe
 noise w, for y + sigma w in the place of y. Means along several axes multiply, and mixed derivatives are products of
 first ones. All of these are sums over planes and cells of numbers of W, with weights that are bounded on the image of
 the cell. *Proof* and more: docs/theory/vertices.md.
+
+All of this is for any fixed disturbance: numbers at vertices are below F for all of them (``disturbances``).
 """
 
 from __future__ import annotations

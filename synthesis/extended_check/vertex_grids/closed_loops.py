@@ -3,11 +3,12 @@
 Inside a cell the input u(x) is the multilinear interpolation of those of its vertices, so no input leaves its box. A
 step leads to the *image* y(x): the means of the next state, and the size of the noise of each.
 
-**Theorem.** (a) At a vertex y is within ``rho`` of ``centre``, whatever disturbances do and however inputs are rounded.
-(b) On a cell y lies between ``ends``, and along axis k, for any fixed disturbance and rounding, its first and second
-derivatives, times the side of the cell and its square, are at most ``slopes[k]`` and ``bends[k]`` in size. (c) Where a
-component of y has kinks (abs, min, max), (b) holds for the multilinear interpolation of its corners instead, and it is
-within ``off`` of that.
+**Theorem.** (a) At a point y is within ``rho`` of ``centre``, however inputs are rounded and whatever disturbances do
+that are not given. Points are vertices, or vertices beside numbers of disturbances (``disturbances``). (b) On a cell y
+lies between ``ends``, and along axis k, for any fixed disturbance and rounding, its first and second derivatives, times
+the side of the cell and its square, are at most ``slopes[k]`` and ``bends[k]`` in size. (c) Where a component of y has
+kinks (abs, min, max), (b) holds for the multilinear interpolation of its corners instead, and it is within ``off`` of
+that.
 
 *Proof.* Along axis k, u is linear: its slope is between those of the 2^(d-1) edges along that axis, and its second
 derivative is 0. So jets with the one direction k enclose y and both derivatives (``jets``). For (b) every point of a

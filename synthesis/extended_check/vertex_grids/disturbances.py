@@ -57,7 +57,7 @@ def nodes_of(agent: Agent, edges: tuple[Array, ...], noises: Sequence[Noise | No
         beside = [sizes[k] if noise else np.diff(edges[k]).min() for k, noise in enumerate(noises)]
         with np.errstate(all="ignore"):
             share = np.stack([own / side for own, side in zip(moved, beside, strict=True)]) / WIDE
-        count = math.ceil(np.clip(np.nanmax(share, initial=0.0) - ROUND, 1.0, MOST_PIECES))
+        count = math.ceil(np.clip(np.fmax.reduce(share, axis=None, initial=0.0) - ROUND, 1.0, MOST_PIECES))
         result.append(np.append(low + (high - low) * np.arange(count) / count, high))
     return tuple(result)
 
