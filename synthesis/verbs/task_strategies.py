@@ -262,7 +262,7 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
     # A task written out in time had its grid of vertices as it was written.
-    if plan.paths and has_vertices_only(problem):
+    if plan.paths and (has_vertices_only(problem) or is_disturbed(problem)):
         strategies.insert(0, vertex_strategy(problem, plan))
     elif plan.paths and _is_too_much_for_cells(problem, strategies, plan):
         strategies.insert(0, replace(vertex_strategy(problem, plan), enough=GOOD))
@@ -290,10 +290,12 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     except RelationRefused as error:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
-    work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
+    # Grids of vertices wait for it where there are disturbances, and other cells prove less then than either.
+    waited = is_disturbed(problem) and may_have_vertices(problem)
+    work = 0.0 if waited else PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    has_vertices = (has_vertices_only(problem) or has_shared_noise(problem)) and may_have_vertices(problem)
+    has_vertices = waited or ((has_vertices_only(problem) or has_shared_noise(problem)) and may_have_vertices(problem))
 
     def run(results: Results) -> Synthesis:
         along = plan.along_paths
@@ -304,12 +306,14 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
             has_nothing = along.largest <= 0.0 and along.spent > PATIENCE
             if has_vertices and along.largest < PATH_ENDS and along.spent > LATER:
                 return True
-            return seconds_over() or (has_nothing and (is_beside or (has_vertices and has_other_noise(problem))))
+            return seconds_over() or (
+                has_nothing and (is_beside or (has_vertices and (waited or has_other_noise(problem))))
+            )
 
         along.is_broken_off = is_left
         return along_path(problem, along)
 
-    return Strategy("path", run, work, enough=enough, ends=PATH_ENDS)
+    return Strategy("path", run, work, enough=enough, ends=SOLVED if waited else PATH_ENDS)
 
 
 def may_have_vertices(problem: Problem) -> bool:
@@ -347,10 +351,17 @@ def has_vertices_only(problem: Problem) -> bool:
     return has_other_noise(problem) or (problem.n_agents == 1 and is_still)
 
 
+def is_disturbed(problem: Problem) -> bool:
+    """Return whether one agent has few states, all with noise, and disturbances: vertices know the worst of them."""
+    agent = problem.agents[0]
+    few = problem.n_agents == 1 and agent.n_states <= MOST_STILL_STATES and not has_vertices_only(problem)
+    return few and isinstance(agent, Agent) and bool(agent.disturbances)
+
+
 def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
     """Return the way on grids whose vertices have inputs: one agent with few states, noise of any size."""
-    # Where the size of noise varies, or its law is another one, what a path keeps to says little.
-    alone = has_other_noise(problem)
+    # Where the size of noise varies, or its law is another one, or it is beside disturbances, paths say little.
+    alone = has_other_noise(problem) or is_disturbed(problem)
     try:
         (refuse_without_guess if alone else refuse_vertex_grid)(problem)
     except RelationRefused as error:
@@ -367,8 +378,9 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
         effort.spent += work.spent
         return found
 
-    # Where a path does well it takes a fraction of the time.
-    return Strategy("vertices", run, enough=SOLVED, after="path")
+    # Where a path does well it takes a fraction of the time; on a line, with disturbances, grids take a second.
+    is_quick = is_disturbed(problem) and problem.agents[0].n_states == 1
+    return Strategy("vertices", run, enough=SOLVED, after="" if is_quick else "path")
 
 
 def _exact(problem: Problem, plan: Plan) -> Strategy:

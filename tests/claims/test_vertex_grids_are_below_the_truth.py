@@ -232,8 +232,8 @@ def test_images_with_kinks_are_near_those_of_corners(name: str) -> None:
 def test_what_kinks_of_images_leave_is_charged(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     across = closed_loops._across_kinks
 
-    def exact(slopes: np.ndarray, bends: np.ndarray, *rest: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        own = across(slopes, bends, *rest)
+    def exact(loop: closed_loops.ClosedLoop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        own = across(loop)
         assert np.any(own[2] > 0.0)
         return own[0], own[1], 0.0 * own[2]
 
@@ -497,10 +497,7 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
     monkeypatch.setattr(images, "BESIDE", 100.0)
     monkeypatch.setattr(Normal, "beyond", lambda self, distance, sigma, side: np.zeros(len(distance)))
 
-    def with_all(centre: Any, shape: Any, edges: Any, noises: Any, near: float) -> images.Means:
-        return means(centre, shape, edges, noises, 8.0)
-
-    monkeypatch.setattr(images.Means, "of", with_all)
+    monkeypatch.setattr(images.Means, "of", lambda loop, edges, noisy, near: means(loop, edges, noisy, 8.0))
     # Nothing but two places far apart, so that means in between are convex.
     problem, edges, rng = on_grid("two states", 0)
     steps = Backups(problem, edges, (True, True), 0.3)

@@ -1,9 +1,9 @@
 """Value iteration on grids whose vertices have inputs: one agent, noise along each axis or none, of any law and size.
 
 At time t and in automaton state q the value V_t(q, .) is multilinear on each cell, or 0 on all of it, and 0 outside the
-grid, which may be another one at each time. Let W be V_(t+1) in the state that the letter leads to (the least one if it is not known), made continuous
-from below along axes without noise and others that are named, and F(x) = E W(y(x) + noise), y the image under
-interpolated inputs (``closed_loops``), sigma the sizes of the noise.
+grid, which may be another one at each time. Let W be V_(t+1) in the state that the letter leads to (the least one if it
+is not known), made continuous from below along axes without noise and others that are named, and F(x) = E W(y(x) +
+noise), y the image under interpolated inputs (``closed_loops``), sigma the sizes of the noise.
 
 **Theorem.** If on every cell V_t(q, .) <= F or V_t(q, .) = 0, for all t and q, and V_T is 1 where the automaton accepts
 and else 0, then V_0 at the start, after its letter, is at most the probability that the task is satisfied. *Proof.* So
@@ -28,6 +28,8 @@ A kink that y crosses leaves at most kappa (|y'| + |y''|) s (1 - s), since betwe
 noise w, for y + sigma w in the place of y. Means along several axes multiply, and mixed derivatives are products of
 first ones. All of these are sums over planes and cells of numbers of W, with weights that are bounded on the image of
 the cell. *Proof* and more: docs/theory/vertices.md.
+
+All of this is for any fixed disturbance: numbers at vertices are below F for all of them (``disturbances``).
 """
 
 from __future__ import annotations
@@ -50,9 +52,10 @@ from ...checker.intervals import up
 from ...checker.motions import cell_boxes, cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
-from .closed_loops import closed_loop, corners_of, images_at, names_time, vertices_of
+from .closed_loops import ClosedLoop, closed_loop, corners_of, images_at, names_time, vertices_of
 from .coordinates import Independent, independent, start_points
-from .images import Images
+from .disturbances import AnyDisturbance, nodes_of, pieces_of
+from .images import Images, Vertices
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
 
@@ -140,7 +143,9 @@ class Backups:
                 raise Refused("an axis has fewer than two numbers, does not increase, or is too fine")
             if axis.ndim == 1 and (axis[0] != low or axis[-1] != high):
                 raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
-            if axis.ndim > 1 and (axis.shape[:-1] != (self.problem.horizon + 1,) or axis.min() < low or axis.max() > high):
+            if axis.ndim > 1 and (
+                axis.shape[:-1] != (self.problem.horizon + 1,) or axis.min() < low or axis.max() > high
+            ):
                 raise Refused(f"the cells of `{agent.name}` do not lie in its workspace at each time")
         if isinstance(self.problem, Independent):
             self.problem.refuse_fine(self.edges)
@@ -246,9 +251,21 @@ class Backups:
     def image_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
         loop = closed_loop(self.agent, self.edges_at(t), inputs, t)
+        if not self.agent.disturbances:
+            return self._seen(loop, t)
+        pieces = self._seen(pieces_of(self.agent, self.edges_at(t), inputs, t, self.nodes), t)
+        # What disturbances may do is in the numbers at vertices: cells do not pay for it once more.
+        return self._seen(replace(loop, rho=0.0 * loop.rho), t, AnyDisturbance(pieces, self.nodes))
+
+    def _seen(self, loop: ClosedLoop, t: int, vertices: Vertices | None = None) -> Images | LatticeImages:
         if self.window is None:
-            return Images.of(loop, self.edges_at(t + 1), self.noises, self.near)
-        return LatticeImages.of(loop, self.lattice(t + 1), self.noises, self.near)
+            return Images.of(loop, self.edges_at(t + 1), self.noises, self.near, vertices)
+        return LatticeImages.of(loop, self.lattice(t + 1), self.noises, self.near, vertices)
+
+    @cached_property
+    def nodes(self) -> tuple[Array, ...]:
+        """The ends of pieces of the interval of each disturbance."""
+        return nodes_of(self.agent, self.edges_at(0), self.noises)
 
     @cached_property
     def deviations(self) -> Array:
@@ -331,7 +348,8 @@ class Backups:
         if isinstance(self.problem, Independent):
             # a point that is known up to rounding: in a cell the least value is that at a corner
             places = [
-                np.searchsorted(axis, own, side="right") for axis, own in zip(self.edges_at(0), starts[0].T, strict=True)
+                np.searchsorted(axis, own, side="right")
+                for axis, own in zip(self.edges_at(0), starts[0].T, strict=True)
             ]
             if any(first != last for first, last in places):
                 raise Refused("the start may lie on either side of an edge")

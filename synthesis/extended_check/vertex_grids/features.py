@@ -54,9 +54,9 @@ class Weights:
     jumps : (k, S, n + 1)
         Where the noise is of one size f over sigma, f' over sigma^2, and by how much f jumps, over sigma, if it does;
         else f and tau f; f', tau f', tau^2 f'; jumps of f, and those times tau.
-    upward : d of (S, n + 1)
+    upward : list of (S, n + 1)
         Of kinks upward for second derivatives along each side of the cell.
-    moves, off : d of Moves, pair of (S,) arrays
+    moves, off : list of Moves, pair of (S,) arrays
         Along each side of the cell, and what y and sigma may be off by.
     least : (S,)
         Least sigma; 1 without noise.
@@ -188,10 +188,10 @@ def _jumps(ends: Array) -> Array:
 def second_derivatives(
     W: Array, edges: Sequence[Array], weights: Sequence[Weights], largest: float
 ) -> tuple[Array, Array]:
-    """Return what ``off`` may cost (M,), and second derivatives along each side (d, M), for cells of a block."""
-    d, n = W.ndim, len(weights[0].mass)
+    """Return what ``off`` may cost (M,), and second derivatives along each side (n, M), for cells of a block."""
+    d, n, ways = W.ndim, len(weights[0].mass), len(weights[0].moves)
     features = [Features.along(W, k, axis, weights[k].is_sized) for k, axis in enumerate(edges)]
-    always, bends = np.zeros(n), np.zeros((d, n))
+    always, bends = np.zeros(n), np.zeros((ways, n))
     for i, (own, mine) in enumerate(zip(features, weights, strict=True)):
         signed, others = own.of(W, i), [k for k in range(d) if k != i]
         size = np.abs(signed) + _along(64.0 * U * largest * own.grain, i, d)
@@ -213,7 +213,7 @@ def second_derivatives(
 def _single(
     own: Features, weights: Weights, signed: Array, size: Array, i: int, masses: Sequence[Singles], largest: float
 ) -> tuple[Array, Array]:
-    """Return what ``off`` costs (M,) along axis i, and second derivatives (d, M) of features of that axis alone."""
+    """Return what ``off`` costs (M,) along axis i, and second derivatives (n, M) of features of that axis alone."""
     count, others = len(own.axis), [k for k in range(signed.ndim) if k != i]
     upward = np.maximum(np.take(signed, range(count), axis=i), 0.0) + 64.0 * U * largest * own.grain[0]
     table = np.concatenate([upward, _since(size, i, own)], axis=i)
@@ -253,7 +253,7 @@ def _single(
 def _mixed(
     table: Singles, features: Sequence[Features], weights: Sequence[Weights], masses: Sequence[Singles]
 ) -> Array:
-    """Return what mixed derivatives add to second ones (d, M), from a table (.., features, features)."""
+    """Return what mixed derivatives add to second ones (n, M), from a table (.., features, features)."""
     left, right = (own.first(each.planes) for own, each in zip(weights, features, strict=True))
     n = len(weights[0].mass)
     result = np.zeros((len(left), len(right), n))

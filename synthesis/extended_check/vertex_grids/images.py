@@ -10,12 +10,13 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ...checker.intervals import down, up
 from ...checker.rigorous import Array, Truth, U, Whole
-from .closed_loops import ClosedLoop, corners_of
+from .closed_loops import ClosedLoop
 from .features import ROUNDED, Moves, Weights, contracted, second_derivatives
 from .noise_bounds import Noise
 
@@ -63,22 +64,35 @@ def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
     return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
 
 
-def with_vertices(ends: Array, at: Array, rho: Array, off: Array, shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return what images of cells and of their vertices may be off by (k, S), and ends (2, k, S), theirs among them.
+def with_vertices(loop: ClosedLoop, ends: Array, at: Array) -> tuple[Array, Array]:
+    """Return what images of cells and of their corners may be off by (k, S), and ends (2, k, S), theirs among them.
 
-    What is read at a vertex, and where it may lead, belongs to the images of cells, too: ``at`` and ``rho`` (k, V);
-    ``off`` (k, S) is of cells alone. The grid has ``shape`` vertices along each axis.
+    What is read at a corner, ``at`` (k, V), and where it may lead, belongs to the images of cells, too.
     """
-    d = len(shape)
+    rho, off = loop.rho[: len(at)], loop.off[: len(at)]
     largest, least, most = (
-        np.stack([corners_of(own.reshape(shape), d).reshape(ends.shape[2], -1).max(axis=1) for own in table])
-        for table in (rho, rho - at, at + rho)
+        np.stack([loop.at_corners(own).max(axis=1) for own in table]) for table in (rho, rho - at, at + rho)
     )
     return up(largest + off), np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
 
 
 def _part(W: Array, windows: tuple[slice, ...]) -> Array:
     return W[tuple(slice(2 * own.start, 2 * own.stop) for own in windows)]
+
+
+class Vertices(Protocol):
+    """Lower bounds on means at vertices."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+
+    @property
+    def products(self) -> float:
+        """How many products they take."""
+
+    def below(self, W: Array) -> Array:
+        """Return lower bounds (V,) for numbers at both ends of intervals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,27 +105,23 @@ class Means:
         Means of both hats of the intervals of each axis that are near, from below.
     lack, count : float, int
         What a row lacks at most along all axes, and how many numbers rows have.
+    points : int
+        How many points there are.
     """
 
     blocks: list[tuple[Whole, tuple[slice, ...], list[Array]]]
     lack: float
     count: int
+    points: int
 
     @classmethod
-    def of(
-        cls,
-        centre: Array,
-        shape: tuple[int, ...],
-        edges: tuple[Array, ...],
-        noises: Sequence[Noise | None],
-        near: float,
-    ) -> Means:
-        """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none.
+    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Means:
+        """Return weights around the images of points of a closed loop; what is not known has none.
 
-        The grid has ``shape`` vertices along each axis, and leads to one with these edges. Where there is noise what
-        is more than ``near`` deviations away is left out.
+        They are numbers of a grid with these edges. Where there is noise what is more than ``near`` deviations away is
+        left out.
         """
-        d = len(edges)
+        centre, d, shape = loop.centre, len(edges), loop.points
         known, size = np.all(np.isfinite(centre), axis=0), _sizes(centre[d:], noises)
         first, last, each = [], [], []
         for k, axis in enumerate(edges):
@@ -131,7 +141,7 @@ class Means:
                 missing += off
             each.append((some, windows, weights))
             lack, count = max(lack, missing), max(count, sum(table.shape[1] for table in weights))
-        return cls(each, lack, count)
+        return cls(each, lack, count, centre.shape[1])
 
     @property
     def size(self) -> int:
@@ -143,17 +153,17 @@ class Means:
         """How many products a mean around all points takes."""
         return sum(len(places) * math.prod(own.shape[1] for own in weights) for places, _, weights in self.blocks)
 
-    def around(self, W: Array, n: int) -> Array:
-        """Return means of W, which is not negative, around n points (n,)."""
-        result = np.zeros(n)
+    def around(self, W: Array) -> Array:
+        """Return means of W, which is not negative, around all points (V,)."""
+        result = np.zeros(self.points)
         for places, windows, weights in self.blocks:
             result[places] = contracted(_part(W, windows), weights)
         return result
 
     def below(self, W: Array) -> Array:
-        """Return means of W around the images of all vertices (V,), less what they may be above."""
+        """Return means of W around the images of all points (V,), less what they may be above."""
         off = 1.01 * self.lack + 4.0 * U * (self.count + 8.0) * 2**W.ndim
-        return self.around(W, math.prod(k // 2 + 1 for k in W.shape)) - float(np.abs(W).max()) * off
+        return self.around(W) - float(np.abs(W).max()) * off
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,21 +178,24 @@ class Images:
     ----------
     edges : d arrays (n + 1,)
         Those of the grid, over a unit of each axis, as all other lengths: a power of 2, about as long as a cell.
-    vertices : Means
-        Of W around the images of vertices.
+    vertices : Vertices
+        Means of W around the images of vertices.
     blocks : list of (places, windows, d of Weights)
         Cells of each block, intervals that are near their images, and what planes of each axis weigh from there.
     beyond : (S,)
         Upper bounds on the probability of what is not near.
     known : (S,) bool
         Cells whose images are known.
+    ways : int
+        Along how many axes cells lie.
     """
 
     edges: tuple[Array, ...]
-    vertices: Means
+    vertices: Vertices
     blocks: list[tuple[Whole, tuple[slice, ...], list[Weights]]]
     beyond: Array
     known: Truth
+    ways: int
 
     @property
     def size(self) -> int:
@@ -200,9 +213,19 @@ class Images:
         return products
 
     @classmethod
-    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
-        """Return the images of a closed loop on a grid with these edges, ``near`` deviations of the noise far."""
-        d, cells = len(edges), tuple(n - 1 for n in loop.shape)
+    def of(
+        cls,
+        loop: ClosedLoop,
+        edges: tuple[Array, ...],
+        noises: Sequence[Noise | None],
+        near: float,
+        vertices: Vertices | None = None,
+    ) -> Images:
+        """Return the images of a closed loop on a grid with these edges, ``near`` deviations of the noise far.
+
+        Means at vertices are those around their images, unless others are given.
+        """
+        d, ways = len(edges), len(loop.slopes)
         # numbers in single precision that are very small count as more than they are, so none may be for its units
         units = np.exp2(np.round(np.log2([float(np.median(np.diff(axis))) for axis in edges])))
         edges, loop = tuple(axis / unit for axis, unit in zip(edges, units, strict=True)), loop.over(units)
@@ -212,7 +235,7 @@ class Images:
                 ends[:, k] = np.where(ends[0, k] < 0.0, -ends[::-1, k], ends[:, k])
         slopes = np.abs(loop.slopes).max(axis=1)
         known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(slopes + loop.bends), axis=(0, 1))
-        rho, ends = with_vertices(ends, np.concatenate([loop.centre[:d], size]), loop.rho, loop.off, loop.shape)
+        rho, ends = with_vertices(loop, ends, np.concatenate([loop.centre[:d], size]))
         known &= np.all(np.isfinite(rho), axis=0)
         for k, axis in enumerate(edges):
             inside = ends[0, d + k] > SMALLEST if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
@@ -222,14 +245,15 @@ class Images:
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
             each = [
-                [np.where(known, own[n, j], 0.0) for own in (slopes, loop.bends) for j in (k, d + k)] for n in range(d)
+                [np.where(known, own[n, j], 0.0) for own in (slopes, loop.bends) for j in (k, d + k)]
+                for n in range(ways)
             ]
             moved.append([Moves(*own) for own in each])
             off.append((np.where(known, rho[k], 0.0), np.where(known, rho[d + k], 0.0)))
             away = near * ends[1, d + k] * (noises[k] is not None)
             start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
-            first.append(np.where(known, start, len(axis)).reshape(cells))
-            last.append(np.where(known, stop, 0).reshape(cells))
+            first.append(np.where(known, start, len(axis)).reshape(loop.cells))
+            last.append(np.where(known, stop, 0).reshape(loop.cells))
         blocks, beyond = list[tuple[Whole, tuple[slice, ...], list[Weights]]](), np.zeros(len(known))
         for places, windows in blocks_of(np.stack(first), np.stack(last)):
             some, weights = places[known[places]], list[Weights]()
@@ -246,12 +270,12 @@ class Images:
                 if noise is not None and own.stop < len(edges[k]) - 1:
                     beyond[some] += noise.beyond(axis[-1] - y[1], sigma[1], 1)
             blocks.append((some, windows, weights))
-        return cls(edges, Means.of(loop.centre, loop.shape, edges, noises, near), blocks, beyond, known)
+        return cls(edges, vertices or Means.of(loop, edges, noises, near), blocks, beyond, known, ways)
 
     def cost(self, W: Array) -> tuple[Array, Array]:
-        """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""
-        d, largest = W.ndim, float(np.abs(W).max())
-        always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
+        """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (n, S)."""
+        largest = float(np.abs(W).max())
+        always, bends = np.zeros(len(self.known)), np.zeros((self.ways, len(self.known)))
         for places, windows, weights in self.blocks:
             near = [axis[own.start : own.stop + 1] for axis, own in zip(self.edges, windows, strict=True)]
             always[places], bends[:, places] = second_derivatives(_part(W, windows), near, weights, largest)

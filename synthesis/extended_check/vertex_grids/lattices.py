@@ -53,7 +53,7 @@ from ...checker.intervals import up
 from ...checker.rigorous import Array, Truth, Whole
 from .bands import Bands
 from .closed_loops import ClosedLoop
-from .images import Means, with_vertices
+from .images import Means, Vertices, with_vertices
 from .noise_bounds import Noise, Normal
 
 STEPS = 0.2, 0.25, 0.3, 0.4, 0.5  # of a lattice, in deviations: the first one with few points, or the last
@@ -235,24 +235,24 @@ class LatticeImages:
 
     Attributes
     ----------
-    vertices : Means
-        Of W around the images of vertices.
+    vertices : Vertices
+        Means of W around the images of vertices.
     known : (S,) bool
         Cells whose images are known, and on the lattice.
     cells : (M,) int array
         Those cells, which look at few points first.
     start, count : (d, M) int arrays
         The first point along each axis, and how many there are.
-    p, q : (d, d, M) arrays
+    p, q : (n, d, M) arrays
         Along each side of a cell: what images move by, and by how much that varies, in deviations where there is noise.
-    bends : (d, d, M) array
+    bends : (n, d, M) array
         By how much images may bend.
     rho : (d, M) array
         What images of cells and of their vertices may be off by.
     """
 
     lattice: Lattice
-    vertices: Means
+    vertices: Vertices
     known: Truth
     cells: Whole
     start: Whole
@@ -263,12 +263,22 @@ class LatticeImages:
     rho: Array
 
     @classmethod
-    def of(cls, loop: ClosedLoop, lattice: Lattice, noises: Sequence[Noise | None], near: float) -> Self:
-        """Return the images of a closed loop, of whose noise ``near`` deviations are looked at around vertices."""
+    def of(
+        cls,
+        loop: ClosedLoop,
+        lattice: Lattice,
+        noises: Sequence[Noise | None],
+        near: float,
+        vertices: Vertices | None = None,
+    ) -> Self:
+        """Return the images of a closed loop, of whose noise ``near`` deviations are looked at around vertices.
+
+        Means at vertices are those around their images, unless others are given.
+        """
         d, edges, noisy = len(lattice.edges), lattice.edges, lattice.noisy
         known = np.all(np.isfinite(loop.ends), axis=(0, 1)) & np.all(np.isfinite(loop.bends), axis=(0, 1))
         known &= np.all(np.isfinite(loop.slopes), axis=(0, 1, 2))
-        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], loop.off[:d], loop.shape)
+        rho, ends = with_vertices(loop, loop.ends[:, :d], loop.centre[:d])
         known &= np.all(np.isfinite(rho), axis=0) & np.all(np.isfinite(ends), axis=(0, 1))
         sizes = loop.ends[:, d:][:, noisy]
         known &= np.all(np.abs(sizes - lattice.deviation[noisy, None]) <= SAME * sizes[1], axis=(0, 1))
@@ -295,7 +305,7 @@ class LatticeImages:
         p = 0.5 * slopes[:, 0] + 0.5 * slopes[:, 1]
         q = np.maximum(up(slopes[:, 1] - p), up(p - slopes[:, 0])) + 1e-15 * np.abs(p)
         whole = [own[:, cells].astype(np.int64) for own in (start, count)]
-        vertices = Means.of(loop.centre, loop.shape, edges, noises, near)
+        vertices = vertices or Means.of(loop, edges, noises, near)
         bends, rho = loop.bends[:, :d, cells] / unit[:, None], rho[:, cells] / unit[:, None]
         return cls(lattice, vertices, known, cells, whole[0], whole[1], p, q, bends, rho)
 
@@ -311,8 +321,8 @@ class LatticeImages:
         return self.vertices.products + terms * (GATHERED * len(self.p) * looked + points * numbers)
 
     def cost(self, W: Array) -> tuple[Array, Array]:
-        """Return what is taken off all corners (S,) of cells, and bounds on second derivatives (d, S)."""
-        lattice, noisy, (d, _, M) = self.lattice, self.lattice.noisy, self.p.shape
+        """Return what is taken off all corners (S,) of cells, and bounds on second derivatives (n, S)."""
+        lattice, noisy, (ways, d, M) = self.lattice, self.lattice.noisy, self.p.shape
         means = Smoothed(lattice, W)
         orders, roots = lattice.orders(), lattice.mean_squares(W, means)
         grain = lattice.grain * float(np.abs(W).max())
@@ -320,7 +330,7 @@ class LatticeImages:
         largest = {own: self._largest(root) for own, root in roots.items()}
         rest = largest | {(0,) * d: self._largest(lattice.rest_of_square(W, means, roots[(0,) * d]))}
         # p_i p_j of each term, and what it varies by
-        terms, varies, spare = np.empty((M, d, len(orders))), np.empty((M, d, len(orders))), np.zeros((d, M))
+        terms, varies, spare = np.empty((M, ways, len(orders))), np.empty((M, ways, len(orders))), np.zeros((ways, M))
         far = np.abs(self.p) + self.q
         for n, own in enumerate(orders):
             i, j = (k for k, order in enumerate(own) for _ in range(order))
@@ -342,7 +352,7 @@ class LatticeImages:
             if not noisy[k]:
                 kappa = self._kinks(W, k) + 2.0 * self._between((0,) * d) * largest[unit] * self._planes(k)
                 bends += 2.0 * (far[:, k] + self.bends[:, k]) * (kappa + grain)
-        every, all_bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
+        every, all_bends = np.zeros(len(self.known)), np.zeros((ways, len(self.known)))
         every[self.cells], all_bends[:, self.cells] = always, bends
         return every * (1.0 + 1e-12), all_bends * (1.0 + 1e-12)
 
@@ -367,7 +377,7 @@ class LatticeImages:
         return _listed(self.start, self.count, _strides(self.lattice.shape))
 
     def _most(self, table: Array, weights: list[Array]) -> Array:
-        """Return the largest sums (d, M) of rows of a table (points, n) that each cell looks at, weights (M, d, n)."""
+        """Return the largest sums (n, M) of rows of a table (points, k) that each cell looks at, weights (M, n, k)."""
         (places, begins), factors = self._points, np.concatenate(weights, axis=2)
         result, first = np.zeros(factors.shape[:2]), 0
         while first < len(self.cells):

@@ -72,6 +72,8 @@ class Counted(Backups):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.parts = dict[float, float]()  # work by the power with which it grows
+        # which node of disturbances is worst at each vertex, at times and in automaton states that are looked at
+        self.worst = dict[tuple[int, int], NDArray[np.int64]]()
         self.bent = np.full(len(self.edges), 1e-300)  # what is charged along each axis where values are high
 
     def image_of(self, inputs: FloatArray, t: int) -> Images | LatticeImages:

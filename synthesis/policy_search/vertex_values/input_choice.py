@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...extended_check.vertex_grids import Bands, Noise, Normal, hats_at, images_at, names_time, vertices_of
 from ...relations.grids import FloatArray
 from .counted_backups import ONCE, Counted
-from .sampled_runs import RUNS, Runs
+from .sampled_runs import RUNS, Runs, nearest_vertices
 
 INPUTS = {1: 9, 2: 5, 3: 3}
 """Values of each input that are tried, by the number of inputs; between them means are interpolated."""
@@ -49,8 +49,9 @@ those of their neighbours: once, and at each vertex, in core seconds."""
 SAME = 5e-3
 """A law that is known acts where new inputs take off at most this share of the failure at any vertex."""
 
-SAME_PASSING = 0.2
-"""The same where runs that pass there lose at most this share of the failure hoped for, or aimed at, in all steps."""
+SAME_PASSING, SAME_DISTURBED = 0.2, 0.02
+"""The same where runs that pass there lose at most this share of the failure hoped for, or aimed at, in all steps; and
+where there are disturbances, which are as bad as can be at every step, so that failures are large."""
 
 MOST_TRIED = 40
 """Known laws that are tried, the newest ones."""
@@ -90,6 +91,7 @@ class Choice:
         self.crossed = 0.0 if is_coarse else CROSSED_SURE if sure else CROSSED
         self.m, self.now = len(agent.inputs), -1
         self._enter(steps.problem.horizon)
+        self.acting = vertices_of(steps.nodes).T if agent.disturbances else None
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
         self.axis = np.linspace(0.0, 1.0, self.count)
@@ -128,6 +130,8 @@ class Choice:
         for numbers, states in alike.items():
             W = np.frombuffer(numbers).reshape(shape)
             law, means = self._adjusted(W, t, later[states], self._passing(t, states))
+            if self.acting is not None:
+                self.steps.worst |= dict.fromkeys(((t, q) for q in states), self._worst(law))
             which[states], result[states] = law, means.reshape(values.shape[1:])
         return which, result
 
@@ -136,17 +140,16 @@ class Choice:
         result = np.zeros(self.at.shape[1])
         if self.runs is not None:
             here = self.runs.states[t][:, np.isin(self.runs.q[t], states)]
-            edges = self.steps.edges_at(t)
-            each = [np.rint(np.interp(x, axis, np.arange(len(axis)))) for x, axis in zip(here, edges, strict=True)]
-            places = np.ravel_multi_index([own.astype(int) for own in each], [len(axis) for axis in edges])
-            np.add.at(result, places, 1.0 / RUNS)
+            np.add.at(result, nearest_vertices(self.steps.edges_at(t), here), 1.0 / RUNS)
         return result
 
     def _adjusted(self, W: FloatArray, t: int, later: NDArray[np.int64], passing: FloatArray) -> tuple[int, FloatArray]:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
-        table = reading.means(W).reshape(*[self.count] * self.m, -1)
-        self.steps.count(READ * table.size + SUMMED * reading.products)
+        every = reading.means(W).reshape(-1, *[self.count] * self.m, self.at.shape[1])
+        self.steps.count(READ * every.size + SUMMED * reading.products)
+        # of all disturbances the worst
+        table, self.every = every.min(axis=0) if len(every) > 1 else every[0], every
         self.steps.count(ONCE, 0.0)
         known = list(dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]]))
         means = self._under(table, known)
@@ -171,7 +174,8 @@ class Choice:
         lost = loss @ passing + loss.max(axis=1) / RUNS
         if self.runs is not None:
             failure = max(self.runs.failure, self.aim, LEAST_FAILURE)
-            little |= lost <= SAME_PASSING * failure / self.steps.problem.horizon
+            share = SAME_PASSING if self.acting is None else SAME_DISTURBED
+            little |= lost <= share * failure / self.steps.problem.horizon
         return int(np.where(little, lost, np.inf).argmin()) if little.any() else None
 
     def _add(self, shares: FloatArray) -> None:
@@ -189,6 +193,10 @@ class Choice:
         flat, at = table.reshape(-1, table.shape[-1]), np.arange(table.shape[-1])
         each = [np.sum(weight * flat[index, at], axis=0) for index, weight in (self.between[k] for k in laws)]
         return np.stack(each)
+
+    def _worst(self, law: int) -> NDArray[np.int64]:
+        """Return under which disturbances means that were read last are least at each vertex (V,), under a law."""
+        return np.concatenate([self._under(table, [law]) for table in self.every]).argmin(axis=0)
 
     def _best(self, table: FloatArray) -> FloatArray:
         places = np.unravel_index(table.reshape(-1, table.shape[-1]).argmax(axis=0), table.shape[:-1])
@@ -242,17 +250,23 @@ class Choice:
         return result
 
     def _images(self, t: int) -> tuple[Reading, FloatArray]:
-        """Return readings at images of all inputs that are tried, and squares (V, m) of how far inputs lead apart."""
+        """Return readings at images of all inputs that are tried, and squares (V, m) of how far inputs lead apart.
+
+        Where there are disturbances images are those under each of some of them, one after the other.
+        """
         steps, agent, n = self.steps, self.steps.agent, self.at.shape[1]
         if self.known is None or ((names_time(agent) or steps.moves) and self.known[0] != t):
             images = list[FloatArray]()
             # as many inputs at once as make long arrays
-            for some in np.array_split(self.tried, min(len(self.tried), -(-len(self.tried) * n // IMAGES_AT_ONCE))):
+            parts = np.array_split(self.tried, min(len(self.tried), -(-len(self.tried) * n // IMAGES_AT_ONCE)))
+            for acting, some in itertools.product([None] if self.acting is None else self.acting, parts):
                 at, inputs = np.tile(self.at, len(some)), np.repeat(some, n, axis=0)
-                images += np.split(images_at(agent, at, inputs, t)[0], len(some), axis=1)
+                unknown = None if acting is None else np.repeat(acting[:, None], at.shape[1], axis=1)
+                images += np.split(images_at(agent, at, inputs, t, unknown)[0], len(some), axis=1)
             d, apart = len(self.at), np.zeros((n, self.m))
             sizes = np.maximum(np.abs(np.nan_to_num(images[len(images) // 2][d:])), self.widths)
-            means = np.stack([own[:d] for own in images]).reshape(*[self.count] * self.m, d, n)
+            # under the first disturbances, if there are any
+            means = np.stack([own[:d] for own in images[: len(self.tried)]]).reshape(*[self.count] * self.m, d, n)
             for j in range(self.m):
                 # from the least to the most of an input, whatever the others are
                 way = np.abs(np.take(means, -1, axis=j) - np.take(means, 0, axis=j)) / sizes

@@ -14,9 +14,10 @@ from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...checker import CheckedProblem, followed, value_on
 from ...checker.tree import finished
-from ...extended_check.vertex_grids import Backups, images_at
+from ...extended_check.vertex_grids import images_at, vertices_of
 from ...relations.grids import FloatArray
 from .axis_edges import spreads_in
+from .counted_backups import Counted
 
 RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
@@ -48,11 +49,11 @@ class Runs:
     failure: float
 
     @classmethod
-    def of(cls, steps: Backups, inputs: FloatArray, laws: NDArray[np.int64], failure: float, batch: int = 0) -> Runs:
+    def of(cls, steps: Counted, inputs: FloatArray, laws: NDArray[np.int64], failure: float, batch: int = 0) -> Runs:
         """Return runs of tables of inputs (L, V, m), of which ``laws`` (T, Q) act.
 
         Hoped for is a failure, or what is seen in runs, if that is less: values of coarse grids are too low. Other
-        numbers of the ``batch`` make other runs.
+        numbers of the ``batch`` make other runs. Disturbances are those that are worst at the nearest vertex.
         """
         problem = steps.problem
         agent, automaton = problem.agents[0], problem.automaton
@@ -63,7 +64,7 @@ class Runs:
         states, each = [x], [q]
         for t in range(problem.horizon):
             u = interpolated(steps.edges_at(t), inputs[laws[t]], x, q).T
-            centre, _ = images_at(agent, x, u, t)
+            centre, _ = images_at(agent, x, u, t, _worst_at(steps, x, q, t))
             drawn = [
                 own if noise is None else noise.drawn(own)
                 for noise, own in zip(steps.noises, rng.standard_normal((d, RUNS)), strict=True)
@@ -76,7 +77,7 @@ class Runs:
         return cls(np.stack(states), np.stack(each), min(failure, (missed + UNSEEN) / RUNS))
 
     @classmethod
-    def least_failure(cls, steps: Backups, inputs: FloatArray, laws: NDArray[np.int64]) -> float:
+    def least_failure(cls, steps: Counted, inputs: FloatArray, laws: NDArray[np.int64]) -> float:
         """Return by how much a controller fails in many runs, less two deviations of that estimate."""
         batches = range(1, MANY + 1)
         missed = sum((cls.of(steps, inputs, laws, 1.0, k).failure * RUNS - UNSEEN) for k in batches)
@@ -90,8 +91,12 @@ class Runs:
 
     @classmethod
     def under(cls, problem: Problem, controller: Any) -> Runs:
-        """Return runs under a controller of one agent, with the failure that is seen in them."""
-        dynamics, rng = Dynamics.of(problem), np.random.default_rng(20261128)
+        """Return runs under a controller of one agent, with the failure that is seen in them.
+
+        Disturbances, if there are any, swing from one end to the other.
+        """
+        behaviour = "periodic" if problem.agents[0].disturbances else "zero"
+        dynamics, rng = Dynamics.of(problem, behaviour), np.random.default_rng(20261128)
         policy, worlds = controller.batch(dynamics), batch_simulator.initial(dynamics, rng, RUNS)
         memory, states, each = policy.begin(worlds, np.random.default_rng(20261129)), list[Any](), list[Any]()
         for t in range(problem.horizon + 1):
@@ -125,6 +130,26 @@ class Runs:
         result = np.stack(ends)
         beside = np.maximum(BESIDE * spreads_in(problem, spreads, result), STRETCHED * 0.5 * np.ptp(result, axis=1))
         return np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
+
+
+def nearest_vertices(edges: tuple[FloatArray, ...], x: FloatArray) -> NDArray[np.int64]:
+    """Return the places (M,) of the vertices nearest to states x (d, M)."""
+    each = [np.rint(np.interp(own, axis, np.arange(len(axis)))).astype(int) for own, axis in zip(x, edges, strict=True)]
+    return np.ravel_multi_index(each, tuple(len(axis) for axis in edges))
+
+
+def _worst_at(steps: Counted, x: FloatArray, q: NDArray[np.int64], t: int) -> FloatArray | None:
+    """Return disturbances (k, M) that are worst for the values at states x (d, M); None where there are none."""
+    if not steps.agent.disturbances:
+        return None
+    places, nodes = nearest_vertices(steps.edges_at(t), x), vertices_of(steps.nodes)
+    which = np.zeros(x.shape[1], dtype=int)
+    for state in np.unique(q).tolist():
+        here = q == state
+        # where a task is decided it does not matter
+        if (t, state) in steps.worst:
+            which[here] = steps.worst[t, state][places[here]]
+    return nodes[:, which]
 
 
 def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -> NDArray[Any]:

@@ -192,6 +192,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
+            if best is not None and best.window is not None and steps.window is None and steps.agent.disturbances:
+                break  # pieces of disturbances stay as wide, and without a lattice more is charged on them
             inputs, laws, failure, hoped = iterated(steps, runs, aim)
             levels[" x ".join(str(n) for n in steps.shape)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
@@ -312,7 +314,8 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
     middle = np.repeat(agent.input_box.mean(axis=0)[None], at.shape[1], axis=0)
     sizes = np.abs(images_at(agent, at, middle, 0)[0][len(at) :])
     return tuple(
-        bool(np.median(np.diff(axis, axis=-1)) < WIDE * np.nanmedian(own)) for axis, own in zip(edges, sizes, strict=True)
+        bool(np.median(np.diff(axis, axis=-1)) < WIDE * np.nanmedian(own))
+        for axis, own in zip(edges, sizes, strict=True)
     )
 
 
