@@ -332,9 +332,9 @@ def has_other_noise(problem: Problem) -> bool:
 
 
 def moves_with_runs(problem: Problem) -> bool:
-    """Return whether a grid of one agent with three states can move with runs: its noise is normal, and of one size."""
-    agent = problem.agents[0]
-    is_alone = problem.n_agents == 1 and agent.n_states == MOST_GRID_STATES
+    """Return whether one agent has a grid of vertices only if it moves with runs: of three states, or with angles."""
+    agent, least = problem.agents[0], MOST_STILL_STATES if problem.agents[0].angles else MOST_GRID_STATES
+    is_alone = problem.n_agents == 1 and least <= agent.n_states <= MOST_GRID_STATES
     return is_alone and not has_other_noise(problem) and agent.has_independent_noise
 
 
@@ -372,7 +372,7 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
 
     def run(results: Results) -> Synthesis:
         with work.within(SHARE_OF_VERTICES * work.limit):
-            path = None if alone else results.get("path")
+            path = None if is_disturbed(problem) else results.get("path")
             found = vertex_grid_certificate(problem, work, path.controller if path else None)
         effort.is_interrupted |= work.is_interrupted
         effort.spent += work.spent

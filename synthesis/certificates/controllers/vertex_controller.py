@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....envs.systems.agents import TURN
 from ....envs.systems.arguments import tree_text
 from ...relations.grids import FloatArray
 from .communicated import told_of_all
@@ -58,9 +59,13 @@ class VertexController(PathController):
         now = min(time, len(self.laws) - 1)
         which = self.laws[now][np.asarray(q)]
         places = states if self.matrix is None else self.matrix @ states
-        edges = [axis if axis.ndim == 1 else axis[now] for axis in self.edges]
+        edges, own = [axis if axis.ndim == 1 else axis[now] for axis in self.edges], self.problem.agents[0]
+        if own.angles:  # the numbers in the window that stand for these points of a circle
+            places = np.array(places, dtype=float)
+            for k in np.flatnonzero(own.wrapped_axes):
+                middle = 0.5 * (edges[k][0] + edges[k][-1])
+                places[k] += TURN * np.round((middle - places[k]) / TURN)
         result = interpolated(edges, self.vertex_inputs, places, which)
-        own = self.problem.agents[0]
         return np.clip(result, own.input_low[:, None], own.input_high[:, None])
 
 

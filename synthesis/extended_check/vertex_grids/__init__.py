@@ -7,11 +7,14 @@ from .coordinates import Independent, independent
 from .images import Images, hats_at
 from .lattices import Lattice, LatticeImages
 from .noise_bounds import Noise, Normal
+from .turns import NARROWEST, ROOM, numbers_in
 
 __all__ = [
     "FARTHEST",
     "KEPT",
+    "NARROWEST",
     "NEAR",
+    "ROOM",
     "Backups",
     "Bands",
     "Images",
@@ -24,6 +27,7 @@ __all__ = [
     "images_at",
     "independent",
     "names_time",
+    "numbers_in",
     "vertices_of",
     "Noise",
     "Normal",

@@ -58,6 +58,7 @@ from .disturbances import AnyDisturbance, nodes_of, pieces_of
 from .images import Images, Vertices
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
+from .turns import check_windows, labels_of_copies
 
 KEPT = 6e7  # numbers of images that are kept
 NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
@@ -123,8 +124,8 @@ class Backups:
         if len(self.problem.agents) != 1 or self.problem.pairs:
             raise Refused("the task is about several agents, and a grid of vertices is of one")
         agent = self.agent
-        if agent.angles or agent.shared_noise.any():
-            raise Refused(f"`{agent.name}` has angles, or noise that others share, and grids of vertices know neither")
+        if agent.shared_noise.any():
+            raise Refused(f"`{agent.name}` has noise that others share, which grids of vertices do not know")
         used = agent.noise != 0.0
         if np.any(used.sum(axis=1) > 1) or np.any(used.sum(axis=0) > 1):
             raise Refused(f"the noise of `{agent.name}` is not independent along each of its states")
@@ -132,7 +133,9 @@ class Backups:
             raise Refused(f"the grid has another number of axes than `{agent.name}` has states")
         if not 0.0 < self.near <= FARTHEST:
             raise Refused(f"it looks {self.near:g} deviations of the noise far, not up to {FARTHEST:g}")
-        for axis, low, high in zip(self.edges, *agent.state_box, strict=True):
+        turning = np.array([state in agent.angles for state in agent.states])
+        box = np.where(turning, np.array([[-np.inf], [np.inf]]), agent.state_box)
+        for axis, low, high in zip(self.edges, *box, strict=True):
             # what is no number is smaller than nothing
             widths = np.diff(axis, axis=-1)
             if (
@@ -149,6 +152,8 @@ class Backups:
                 raise Refused(f"the cells of `{agent.name}` do not lie in its workspace at each time")
         if isinstance(self.problem, Independent):
             self.problem.refuse_fine(self.edges)
+        if agent.angles:
+            check_windows(self.problem, self.edges)
 
     @property
     def agent(self) -> CheckedAgent:
@@ -298,7 +303,8 @@ class Backups:
             if len(self.letters) >= LETTERS:
                 self.letters.clear()
             here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in self.problem.regions]
-            labels = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges_at(t))[1]
+            now, edges = replace(self.problem, regions=tuple(here)), self.edges_at(t)
+            labels = labels_of_copies(now, edges) if self.agent.angles else cell_labels(now, 0, edges)[1]
             mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
             kinds, which = np.unique(labels, axis=0, return_inverse=True)
             known = [{p: label > 0 for p, label in zip(mine, kind, strict=True) if label} for kind in kinds.tolist()]

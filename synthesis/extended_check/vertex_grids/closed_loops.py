@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...checker.angles import OFF
 from ...checker.expressions import names_in
 from ...checker.intervals import add, down, interval, mul, neg, up
 from ...checker.jets import Jet, Memory, jet
@@ -186,6 +187,9 @@ def _image(agent: Agent, ranges: Array, moves: Array, t: int) -> tuple[Array, Ar
     v, n = moves.shape[2:]
     flat = np.zeros((2, v, v, n))
     names = (*agent.states, *agent.inputs, *agent.disturbances)
+    if agent.angles:  # whole turns are rounded
+        off = OFF * np.array([name in agent.angles for name in names])[:, None]
+        ranges = np.stack([down(ranges[0] - off), up(ranges[1] + off)])
     leaves = {name: Jet(ranges[:, k], moves[:, k], flat) for k, name in enumerate(names)}
     leaves.setdefault("t", Jet.variable(np.full((2, n), float(t)), np.zeros((v, n))))
     # The size of each component is its deviation, times its scale.

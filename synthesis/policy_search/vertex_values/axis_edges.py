@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...checker import CheckedProblem, plain_sum
+from ...checker.problem import TURN
 from ...extended_check.vertex_grids import images_at
 from ...relations.grids import FloatArray
 
@@ -101,8 +102,9 @@ def moving_grid_of(
 def spreads_in(problem: CheckedProblem, spreads: FloatArray, windows: FloatArray) -> FloatArray:
     """Return the size of the noise (T + 1, d) along each axis in the middle of windows (T + 1, 2, d)."""
     low, high = problem.agents[0].state_box
-    place = (windows.mean(axis=1) - low) / (high - low) * PIECES
-    return np.stack([own[np.clip(at.astype(int), 0, PIECES - 1)] for own, at in zip(spreads, place.T, strict=True)], -1)
+    # angles may be turns away
+    place = np.floor((windows.mean(axis=1) - low) / (high - low) * PIECES).astype(int) % PIECES
+    return np.stack([own[at] for own, at in zip(spreads, place.T, strict=True)], axis=-1)
 
 
 def _move_to_faces(axis: FloatArray, faces: Sequence[float]) -> None:
@@ -165,8 +167,12 @@ def _faces(problem: CheckedProblem, k: int, t: int | None = None) -> Sequence[fl
         for column, output in enumerate(region.outputs[0]):
             if agent.outputs[output] == agent.states[k]:
                 faces |= {*region.low[times, column].tolist(), *region.high[times, column].tolist()}
+    if agent.states[k] in agent.angles:  # and copies of them
+        faces = {at + TURN * n for at in faces for n in range(-MOST_TURNS, MOST_TURNS + 1)}
     corners = {at for tree in (*agent.dynamics, *agent.scale) for at in _corners(tree, agent.states[k])}
     low, high = agent.state_box[:, k].tolist()
+    if agent.states[k] in agent.angles:
+        low, high = -np.inf, np.inf
     inside = [sorted(at for at in own if low < at < high)[:MOST_FACES] for own in (faces, corners)]
     return sorted({*inside[0], *inside[1]})
 
@@ -184,6 +190,9 @@ def _corners(tree: Any, name: str) -> Iterator[float]:
                 if factor:
                     yield -sum(f for f, own in terms if not own) / factor
 
+
+MOST_TURNS = 2
+"""Turns to either side in which regions along an angle have copies that edges are moved to."""
 
 MOST_FACES = 24
 """Faces of an axis that edges are moved to: regions that move have one for each time."""

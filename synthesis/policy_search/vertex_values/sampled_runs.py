@@ -13,8 +13,9 @@ from ....envs.simulation import Dynamics, batch_simulator
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...checker import CheckedProblem, followed, value_on
+from ...checker.problem import TURN
 from ...checker.tree import finished
-from ...extended_check.vertex_grids import images_at, vertices_of
+from ...extended_check.vertex_grids import ROOM, images_at, numbers_in, vertices_of
 from ...relations.grids import FloatArray
 from .axis_edges import spreads_in
 from .counted_backups import Counted
@@ -58,7 +59,7 @@ class Runs:
         problem = steps.problem
         agent, automaton = problem.agents[0], problem.automaton
         rng, d = np.random.default_rng([20261127, batch] if batch else 20261127), len(agent.states)
-        low, high = agent.state_box
+        low, high = walls_of(problem)
         x = rng.uniform(agent.start[0][:, None], agent.start[1][:, None], (d, RUNS))
         q = _followed(problem, np.full(RUNS, automaton.initial), x, 0)
         states, each = [x], [q]
@@ -106,7 +107,11 @@ class Runs:
                 inputs, memory = policy.act(worlds, memory)
                 noise = batch_simulator.noise(dynamics, rng, RUNS)
                 worlds = batch_simulator.transition(dynamics, worlds, inputs, noise)
-        return cls(np.stack(states), np.stack(each), 1.0 - float(batch_simulator.satisfied(dynamics, worlds).mean()))
+        runs = np.stack(states)
+        turning = problem.agents[0].wrapped_axes
+        # angles as numbers that go on where a turn ends
+        runs[:, turning] = np.unwrap(runs[:, turning], axis=0)
+        return cls(runs, np.stack(each), 1.0 - float(batch_simulator.satisfied(dynamics, worlds).mean()))
 
     def seen_by(self, matrix: FloatArray | None) -> Runs:
         """Return the same runs in other coordinates (None: those that they have)."""
@@ -121,7 +126,7 @@ class Runs:
 
     def windows(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
         """Return windows (T + 1, 2, d) of states to which nearly all runs come that were undecided one step before."""
-        (low, high), automaton, ends = problem.agents[0].state_box, problem.automaton, list[FloatArray]()
+        (low, high), automaton, ends = walls_of(problem), problem.automaton, list[FloatArray]()
         is_open = ~(np.array(finished(automaton)) | np.array(automaton.dead()))
         for t, states in enumerate(self.states):
             some = states[:, is_open[self.q[max(t - 1, 0)]]]
@@ -129,7 +134,19 @@ class Runs:
             ends.append(np.quantile(some, [QUANTILE, 1.0 - QUANTILE], axis=1) if some.size else ends[-1])
         result = np.stack(ends)
         beside = np.maximum(BESIDE * spreads_in(problem, spreads, result), STRETCHED * 0.5 * np.ptp(result, axis=1))
-        return np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
+        result = np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
+        for k in np.flatnonzero(np.isinf(low)):
+            middle, half = result[:, :, k].mean(axis=1), 0.5 * TURN - ROOM
+            result[:, 0, k] = np.maximum(result[:, 0, k], middle - half)
+            result[:, 1, k] = np.minimum(result[:, 1, k], middle + half)
+        return result
+
+
+def walls_of(problem: CheckedProblem) -> FloatArray:
+    """Return ends (2, d) of the workspace, which angles have none of."""
+    agent = problem.agents[0]
+    turning = np.array([state in agent.angles for state in agent.states])
+    return np.where(turning, np.array([[-np.inf], [np.inf]]), agent.state_box)
 
 
 def nearest_vertices(edges: tuple[FloatArray, ...], x: FloatArray) -> NDArray[np.int64]:
@@ -155,6 +172,8 @@ def _worst_at(steps: Counted, x: FloatArray, q: NDArray[np.int64], t: int) -> Fl
 def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -> NDArray[Any]:
     """Return automaton states (M,) after the letters of states x (d, M)."""
     agent, automaton = problem.agents[0], problem.automaton
+    turning = np.isinf(walls_of(problem)[0])[:, None]
+    x = np.where(turning, numbers_in(x, agent.state_box.mean(axis=0)[:, None]), x)
     names = {name: np.stack([row, row]) for name, row in zip(agent.states, x, strict=True)}
     held = np.ones((len(problem.regions), x.shape[1]), dtype=bool)
     for p, region in enumerate(problem.regions):

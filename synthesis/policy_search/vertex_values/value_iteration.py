@@ -16,6 +16,7 @@ from ...checker import CheckedProblem, Refused, Unreadable, read_problem
 from ...extended_check.vertex_grids import (
     FARTHEST,
     NEAR,
+    ROOM,
     Backups,
     Independent,
     Lattice,
@@ -28,7 +29,7 @@ from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, moving_grid_of, spreads_in, spreads_of
 from .counted_backups import BrokenOff, Counted
 from .input_choice import INPUTS, Choice
-from .sampled_runs import MANY, RUNS, Runs
+from .sampled_runs import MANY, RUNS, Runs, walls_of
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
@@ -93,6 +94,8 @@ POINT, FIRST_SHARE = 2e-6, 0.5
 """Work of a point of a lattice in three states, at each time, on a grid that proves something, and the share of the
 work that is left which the first one may take."""
 
+ONLY_MOVING = "a state is an angle: grids of vertices know angles where they move along a path, and there is none"
+
 WIDE = 1.5
 """Deviations from which on a cell is wide: values are continuous across it."""
 
@@ -114,7 +117,7 @@ def refuse_vertex_grid(problem: Problem) -> None:
         checked = _checked(problem)
         steps = Backups(
             checked,
-            tuple(np.array(box) for box in checked.agents[0].state_box.T),
+            _whole(checked),
             (True,) * agent.n_states,
             NEAR,
             agent.laws,
@@ -122,6 +125,16 @@ def refuse_vertex_grid(problem: Problem) -> None:
         len(steps.noises)
     except (Refused, Unreadable, NotCanonicalError) as reason:
         raise RelationRefused(str(reason)) from reason
+
+
+def _whole(problem: CheckedProblem) -> tuple[FloatArray, ...]:
+    """Return edges of one cell at each time, nearly all of the workspace where there are angles."""
+    agent, edges = problem.agents[0], list[FloatArray]()
+    for state, (low, high) in zip(agent.states, agent.state_box.T, strict=True):
+        is_angle = state in agent.angles
+        own = np.array([low + ROOM * is_angle, high - ROOM * is_angle])
+        edges.append(np.tile(own, (problem.horizon + 1, 1)) if is_angle else own)
+    return tuple(edges)
 
 
 def _checked(problem: Problem) -> CheckedProblem:
@@ -140,6 +153,8 @@ def refuse_without_guess(problem: Problem) -> None:
     """Raise RelationRefused where the noise is small beside all that a task leaves of the workspace."""
     refuse_vertex_grid(problem)
     checked = _checked(problem)
+    if checked.agents[0].angles:
+        raise RelationRefused(ONLY_MOVING)
     spreads = spreads_of(checked)
     first = grid_of(checked, spreads, FIRST[problem.agents[0].n_states], checked.agents[0].state_box)
     refuse_small_noise(spreads, _alive(checked, first))
@@ -165,16 +180,20 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
     checked, noise_laws = _checked(problem), problem.agents[0].laws
     spreads, states = spreads_of(checked), problem.agents[0].n_states
     vertices, most = float(FIRST[states]), MOST_VERTICES[states]
-    alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
     full, matrix = checked.agents[0].state_box, checked.matrix if isinstance(checked, Independent) else None
     runs = None if guess is None else Runs.under(problem, guess).seen_by(matrix)
-    if runs is not None and runs.failure < POOR_GUESS:
-        alive = _within(alive, runs.window(checked, spreads))
-        narrow = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
-        full, vertices = alive, float(np.clip(narrow, vertices, most))
     narrow = None if runs is None else _moving_cells(checked, spreads, runs, noise_laws, work)
+    if narrow is None and checked.agents[0].angles:
+        raise RelationRefused(ONLY_MOVING)
     if runs is not None and narrow is None and states > 2:
         raise RelationRefused("runs spread too wide for a grid of three states that moves with them")
+    if narrow is None:
+        alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
+        # Where the size of noise varies, or its law is another one, what a path keeps to says little.
+        if runs is not None and runs.failure < POOR_GUESS and noise_laws is None and not checked.agents[0].scale:
+            alive = _within(alive, runs.window(checked, spreads))
+            cells = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
+            full, vertices = alive, float(np.clip(cells, vertices, most))
     best, levels, finer, aim = None, dict[str, float](), np.ones(len(spreads)), AIMS[0]
     try:
         if runs is None or narrow is None:
@@ -239,8 +258,8 @@ def _moving_cells(
         return None
     windows, window = runs.windows(problem, spreads), runs.window(problem, spreads)
     lengths = (windows[:, 1] - windows[:, 0]) / spreads_in(problem, spreads, windows)
-    at_rest = (window[1] - window[0]) / np.median(spreads, axis=1)
-    if np.prod(lengths, axis=1).mean() > MOVING[d] * np.prod(at_rest):
+    at_rest, is_turning = (window[1] - window[0]) / np.median(spreads, axis=1), bool(problem.agents[0].angles)
+    if not is_turning and np.prod(lengths, axis=1).mean() > MOVING[d] * np.prod(at_rest):
         return None
     cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH
     edges = moving_grid_of(problem, spreads, round(float(np.prod(cells))), windows)
@@ -296,7 +315,7 @@ def _near(steps: Backups, failure: float) -> float:
 
 def _lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
     """Return ends (.., 2, d) of a lattice around a window of states, of each time too; None where there is none."""
-    box = steps.agent.state_box
+    box = walls_of(steps.problem)
     try:
         beyond = np.outer([-BEYOND, BEYOND], steps.deviations)
         ends = np.clip(window + beyond, *(box + beyond))
