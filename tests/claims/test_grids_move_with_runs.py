@@ -16,7 +16,7 @@ import certigym as cg
 from certigym.synthesis.certificates.controllers import interpolated
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
-from certigym.synthesis.extended_check.vertex_grids import Backups
+from certigym.synthesis.extended_check.vertex_grids import Backups, turns
 from certigym.synthesis.policy_search.vertex_values import value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
 
@@ -171,3 +171,61 @@ def test_runs_that_spread_wide_are_refused_in_words() -> None:
         problem = checked(cart())
         Backups(problem, tuple(axis[None] if axis.ndim == 1 else axis[:3] for axis in moving(problem, 5)), (True, True))
     assert value_iteration.MOVING.keys() == {2, 3}
+
+
+def turning(**more: Any) -> cg.Problem:
+    """The vehicle with a heading that wraps, which begins near the end of a turn."""
+    ends = {"state_low": [-4, -3, -np.pi], "state_high": [2, 3, np.pi], "initial_state": [0, 0, 2.9]}
+    problem = vehicle(angles=["h"], **{**ends, **more})
+    places = {"goal": {"low": [-3.6, -1.5], "high": [-1.8, 0.7]}, "rock": {"low": [-1.5, 0.35], "high": [-0.7, 1.8]}}
+    regions = {name: cg.Proposition("car", of=["x", "y"], **ends) for name, ends in places.items()}
+    regions["back"] = cg.Proposition("car", heading={"of": "h", "from": "pi - 1", "to": "-pi + 1.2"})
+    task = "!rock U (goal & back)"
+    return cg.Problem(name="p", agents=problem.agents, propositions=regions, specification=task, horizon=7)
+
+
+def holds(problem: CheckedProblem, p: int, numbers: np.ndarray) -> np.ndarray:
+    """Return whether a region holds at numbers (M,) along the angle, wherever else."""
+    region, low, high = problem.regions[p], -np.pi, np.pi
+    state = numbers - 2.0 * np.pi * np.floor((numbers - low) / (high - low))
+    return (region.low[0, 2] <= state) & (state < region.high[0, 2])
+
+
+@pytest.mark.parametrize("first", [-9.0, -3.0, 0.4, 3.3])
+@pytest.mark.parametrize("sabotaged", [False, True])
+def test_regions_along_angles_have_a_copy_for_every_turn(
+    first: float, sabotaged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if sabotaged:  # copies a tenth of a radian away
+        monkeypatch.setattr(turns, "TURN", 6.183)
+    problem, rng = checked(turning()), np.random.default_rng(6)
+    (p,) = [k for k, own in enumerate(problem.regions) if np.any(np.isfinite(own.low[0, 2]) & (own.low[0, 2] > -4))]
+    edges = np.array([0.0, 1.0]), np.array([0.0, 1.0]), first + 0.05 * np.arange(110)
+    labels = turns.labels_of_copies(problem, edges)[:, p]
+    numbers = rng.uniform(edges[2][:-1, None], edges[2][1:, None], (109, 200))
+    inside = holds(problem, p, numbers)
+    is_right = np.all(inside[labels == 1]) and not np.any(inside[labels == -1])
+    assert is_right != (sabotaged and first != -3.0) and 0 < np.sum(labels == 0) <= 6
+
+
+@pytest.mark.thorough
+def test_a_vehicle_that_turns_through_pi_is_certified() -> None:
+    problem = turning()
+    path = cg.synthesize(problem, relation="path", effort=4.0)
+    found = value_iteration.vertex_grid_certificate(problem, CountedWork(10.0), path.controller)
+    proof: Any = found.certificate.proof
+    assert found.lower_bound > 0.3 and proof.edges[2].max() > np.pi
+    assert cg.check(found.certificate)
+    rollouts, alarm = 20_000, 1e-6
+    successes = cg.rollout(problem, found.controller, episodes=rollouts, seed=4).successes
+    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
+    assert found.lower_bound <= most
+    # the same point of the circle, the same input
+    controller: Any = found.controller
+    x = np.array([[-1.0, -1.0], [0.0, 0.0], [3.1, 3.1 - 2.0 * np.pi]])
+    same = controller.inputs(0, x, np.array([problem.automaton.initial] * 2), 3)
+    assert np.allclose(same[:, 0], same[:, 1], atol=1e-9)
+    # a window of a turn is refused: which number would a state be?
+    wide = proof.edges[2][:, :1] + (2.0 * np.pi) * np.linspace(0.0, 1.0, proof.edges[2].shape[1])
+    report = cg.check(replace(found.certificate, proof=replace(proof, edges=(*proof.edges[:2], wide))))
+    assert not report and "narrower than a turn" in str(report.failures)
