@@ -126,6 +126,8 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS if has_grid else ends)
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) or has_grid else []
+        if plan.paths and not ways and moves_with_runs(problem):
+            ways, path = [_moving(problem, plan)], replace(path, ends=PATH_ENDS)
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     if not plan.paths:
         return _on_grids(problem, kinds, plan)
@@ -335,7 +337,7 @@ def moves_with_runs(problem: Problem) -> bool:
     """Return whether one agent has a grid of vertices only if it moves with runs: of three states, or with angles."""
     agent, least = problem.agents[0], MOST_STILL_STATES if problem.agents[0].angles else MOST_GRID_STATES
     is_alone = problem.n_agents == 1 and least <= agent.n_states <= MOST_GRID_STATES
-    return is_alone and not has_other_noise(problem) and agent.has_independent_noise
+    return is_alone and not has_other_noise(problem)
 
 
 def has_shared_noise(problem: Problem) -> bool:
@@ -373,6 +375,7 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
     def run(results: Results) -> Synthesis:
         with work.within(SHARE_OF_VERTICES * work.limit):
             path = None if is_disturbed(problem) else results.get("path")
+            work.largest = max(work.largest, path.certificate.lower_bound if path else 0.0)
             found = vertex_grid_certificate(problem, work, path.controller if path else None)
         effort.is_interrupted |= work.is_interrupted
         effort.spent += work.spent

@@ -200,7 +200,7 @@ def test_regions_along_angles_have_a_copy_for_every_turn(
         monkeypatch.setattr(turns, "TURN", 6.183)
     problem, rng = checked(turning()), np.random.default_rng(6)
     (p,) = [k for k, own in enumerate(problem.regions) if np.any(np.isfinite(own.low[0, 2]) & (own.low[0, 2] > -4))]
-    edges = np.array([0.0, 1.0]), np.array([0.0, 1.0]), first + 0.05 * np.arange(110)
+    edges = np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array(first + 0.05 * np.arange(110), dtype=np.float64)
     labels = turns.labels_of_copies(problem, edges)[:, p]
     numbers = rng.uniform(edges[2][:-1, None], edges[2][1:, None], (109, 200))
     inside = holds(problem, p, numbers)

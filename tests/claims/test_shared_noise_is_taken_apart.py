@@ -13,7 +13,7 @@ from scipy.stats import beta
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem, value_on
-from certigym.synthesis.extended_check.vertex_grids import Backups, Independent, images_at, independent
+from certigym.synthesis.extended_check.vertex_grids import Backups, Independent, coordinates, images_at, independent
 from certigym.synthesis.extended_check.vertex_grids.coordinates import FINEST
 
 LAPLACE = {"law": "laplace", "scale": 0.1}
@@ -122,3 +122,59 @@ def test_starts_on_edges_and_cells_that_are_too_fine_are_refused() -> None:
         problem.refuse_fine(tuple(edges))
     with pytest.raises(Refused, match="in a box"):
         independent(checked(problem_of("correlated", initial_state=None, initial_low=[0, 0], initial_high=[0.1, 0])))
+
+
+COVARIANCE = [[0.041, 0.023, -0.011], [0.023, 0.053, 0.017], [-0.011, 0.017, 0.031]]
+
+
+def of_three(**more: Any) -> cg.Problem:
+    options = {"states": ["x", "y", "h"], "inputs": ["u"], "input_low": [-1], "input_high": [1]}
+    options |= {"dynamics": ["x + 0.3*cos(h)", "y + 0.3*sin(h)", "h + 0.2*u"], "initial_state": [0, 0, 0]}
+    options |= {"state_low": [-2, -2, -2], "state_high": [3, 2, 2], "noise_covariance": COVARIANCE}
+    agent = cg.Agent(name="car", **{**options, **more})
+    goal = cg.Proposition("car", [1, -1, -2], [2, 1, 2])
+    return cg.Problem(name="p", agents=[agent], propositions={"goal": goal}, specification="F goal", horizon=12)
+
+
+def test_normal_noise_of_three_states_is_taken_apart() -> None:
+    own, rng = checked(of_three()), np.random.default_rng(7)
+    other = independent(own)
+    assert isinstance(other, Independent) and 0.0 < other.lost < 1e-13
+    agent, there = own.agents[0], other.agents[0]
+    low, high = agent.state_box
+    x, u = rng.uniform(low[:, None], high[:, None], (3, 500)), rng.uniform(-1.0, 1.0, (500, 1))
+    assert np.allclose(images_at(there, other.matrix @ x, u, 0)[0][:3], other.matrix @ images_at(agent, x, u, 0)[0][:3])
+    sizes = np.diag(there.noise)
+    assert np.allclose(other.matrix @ COVARIANCE @ other.matrix.T, np.diag(sizes**2), atol=1e-15)
+    assert np.array_equal(images_at(there, other.matrix @ x, u, 0)[0][3:, 0], sizes)
+    names = {name: np.stack([row, row]) for name, row in zip(there.states, other.matrix @ x, strict=True)}
+    assert np.allclose([value_on(tree, names)[0] for tree in other.inverse], x, atol=1e-12)
+    edges = tuple(np.linspace(a, b, 17) for a, b in there.state_box.T)
+    steps = Backups(other, edges, (True,) * 3)
+    z = np.stack([rng.uniform(axis[0], axis[-1], 20_000) for axis in edges])
+    places = np.linalg.solve(other.matrix, z)
+    out = np.any((places < low[:, None]) | (places > high[:, None]), axis=0)
+    cells = tuple(2 * (np.searchsorted(axis, row) - 1) for axis, row in zip(edges, z, strict=True))
+    assert out.any() and not np.any(steps.inside(0)[cells][out]) and steps.inside(0).mean() > 0.1
+    # what is off by rounding is added to the failure
+    certain = np.ones_like(steps.at_end()[0]), steps.at_end()[1]
+    assert steps.failure(*certain) >= other.lost
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-9])
+def test_what_coordinates_leave_is_counted(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    # deviations a little off: what noise differs by is charged, and coordinates that give up more are none
+    root = coordinates.math.sqrt
+    monkeypatch.setattr(coordinates.math, "sqrt", lambda x: root(x) * (factor if 1e-3 < x < 1.0 else 1.0))
+    other = independent(checked(of_three()))
+    assert isinstance(other, Independent) == (factor == 1.0)
+
+
+def test_normal_noise_with_two_sources_for_each_state_is_taken_apart() -> None:
+    noise = [{"law": "gaussian", "std": 0.1}, {"law": "gaussian", "std": 0.2}]
+    other = independent(checked(problem_of("other laws", noise=noise, noise_axes=[[1, 0.5], [-0.5, 1]])))
+    assert isinstance(other, Independent) and other.lost < 1e-13
+    noise[0] = {"law": "laplace", "scale": 0.1}
+    assert not isinstance(
+        independent(checked(problem_of("other laws", noise=noise, noise_axes=[[1, 0.5], [-0.5, 1]]))), Independent
+    )

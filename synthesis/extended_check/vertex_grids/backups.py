@@ -363,7 +363,8 @@ class Backups:
         # Weights are lower bounds, and no number is negative.
         each = [float(start_weights(own, self.edges_at(0), True) @ W.ravel()) for own in starts]
         value = max(0.0, min(each) * (1.0 - 4.0 * U * W.size))
-        return float(np.clip(up(1.0 - value), 0.0, 1.0))
+        lost = self.problem.lost if isinstance(self.problem, Independent) else 0.0
+        return float(np.clip(up(up(1.0 - value) + lost), 0.0, 1.0))
 
 
 def _sums(table: Array) -> Array:

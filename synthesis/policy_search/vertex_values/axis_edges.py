@@ -93,6 +93,7 @@ def moving_grid_of(
         shares = np.linspace(0.0, 1.0, round(count) + 1)
         edges = windows[:, 0, k, None] * (1.0 - shares) + windows[:, 1, k, None] * shares
         edges[:, -1] = windows[:, 1, k]
+        _move_off(edges[0], *problem.agents[0].start[:, k])
         for t, axis in enumerate(edges):
             _move_to_faces(axis, [face for face in _faces(problem, k, t) if axis[0] < face < axis[-1]])
         result.append(edges)
@@ -105,6 +106,14 @@ def spreads_in(problem: CheckedProblem, spreads: FloatArray, windows: FloatArray
     # angles may be turns away
     place = np.floor((windows.mean(axis=1) - low) / (high - low) * PIECES).astype(int) % PIECES
     return np.stack([own[at] for own, at in zip(spreads, place.T, strict=True)], axis=-1)
+
+
+def _move_off(axis: FloatArray, low: float, high: float) -> None:
+    """Move an inner edge that lies at a start which is known up to rounding a quarter of a cell on."""
+    if low < high:
+        place = int(np.argmin(np.abs(axis - low)))
+        if 0 < place < len(axis) - 1 and low - NEXT * (high - low) <= axis[place] <= high + NEXT * (high - low):
+            axis[place] += 0.25 * (axis[place + 1] - axis[place])
 
 
 def _move_to_faces(axis: FloatArray, faces: Sequence[float]) -> None:
@@ -190,6 +199,9 @@ def _corners(tree: Any, name: str) -> Iterator[float]:
                 if factor:
                     yield -sum(f for f, own in terms if not own) / factor
 
+
+NEXT = 100.0
+"""Widths of what a start is known up to within which an edge lies at it."""
 
 MOST_TURNS = 2
 """Turns to either side in which regions along an angle have copies that edges are moved to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -86,13 +87,16 @@ LEFT, SEEN = (0.3, 1e-3), 30
 controller itself fails by, as far as its runs say: where it fails in so many of them.
 """
 
-MOVING, MOVING_WIDTH = {2: 0.5, 3: 1.0}, 1.6
+MOVING, MOVING_WIDTH = {2: 0.6, 3: math.inf}, 1.6
 """By the number of states, share of the cells of a grid at rest from which on one moves with runs, and deviations that
 its cells are wide at first."""
 
 POINT, FIRST_SHARE = 2e-6, 0.5
 """Work of a point of a lattice in three states, at each time, on a grid that proves something, and the share of the
 work that is left which the first one may take."""
+
+HOPELESS = 0.1
+"""Share of what a path proves below which what is hoped for on a grid that moves says that its cells are too wide."""
 
 ONLY_MOVING = "a state is an angle: grids of vertices know angles where they move along a path, and there is none"
 
@@ -215,6 +219,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 break  # pieces of disturbances stay as wide, and without a lattice more is charged on them
             inputs, laws, failure, hoped = iterated(steps, runs, aim)
             levels[" x ".join(str(n) for n in steps.shape)] = 1.0 - failure
+            if narrow is not None and 1.0 - hoped < HOPELESS * work.largest and failure >= 1.0 - work.largest:
+                break
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
             runs = runs.or_better(Runs.of(steps, inputs, laws, hoped))
