@@ -16,8 +16,8 @@ S_kk.
 
 **Theorem.** What is proved of these is off by at most T |R| / 2, with R = (S_ij / (s_i s_j)) - I and |R| the root of
 the sum of its squares, if |R| <= 1/2. *Proof.* Let l be the eigenvalues of R. Each step's noise has the divergence
-(Kullback and Leibler) ``sum (l - log(1 + l)) / 2 <= sum l^2 / 2`` from the other one, and so is at most |R| / 2 from it in
-total variation (Pinsker). Runs under one controller are no further apart than their steps together. QED
+(Kullback and Leibler) ``sum (l - log(1 + l)) / 2 <= sum l^2 / 2`` from the other one, and so is at most |R| / 2 from
+it in total variation (Pinsker). Runs under one controller are no further apart than their steps together. QED
 
 With M from a factorization of the covariance R is of the size of rounding: some 1e-15.
 
