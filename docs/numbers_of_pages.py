@@ -195,7 +195,7 @@ all policies of a problem.
 |---|---|
 | proved, certified | bound and measured rate of the certified controllers ([defaults](defaults.md)) |
 | {learners} | **without help**: [learned policies](how-to/learned_policies.md), [how long](how-to/leaderboard.md) |
-| as it is | what `certify` proves of that network, or why nothing |
+| as it is | what `certify` proves of the best network, or why nothing |
 | random | uniformly random inputs |
 
 **Tier** says what is left to learn. *Known* is the largest of the bound and the lower limits of all rows. A problem is
@@ -225,16 +225,20 @@ def board_page() -> str:
     for id in order:
         rates = {row.policy: row.rate for row in rows[id]}
         best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
-        cells = [_rate(rates.get(name), name in ALONE and rates.get(name) == best > 0.0) for name in names]
+        cells = [_rate(rates.get("ppo"), rates.get("ppo") == best > 0.0)]
+        others = [name for name in names if name != "ppo" and name in rates]
+        first = max(others, key=lambda name: rates[name], default="")
+        cells.append(f"{first} {_rate(rates[first], rates[first] == best > 0.0)}" if first else "-")
         gap = "-" if left[id] is None else f"{left[id]:.2f}"
-        cells += [as_it_is(next((row for row in rows[id] if row.policy == name), None)) for name in names]
+        mine = [row for row in rows[id] if row.policy in ALONE]
+        cells.append(as_it_is(max(mine, key=lambda row: row.rate, default=None)))
         measures = f"{proved(kept[id])} | {measured(kept[id])} | {tier_of_id(id)} | {gap}"
         lines.append(f"| {page_link(id)} | {measures} | {' | '.join(cells)} | {random_inputs(kept[id])} |")
     head = BOARD_HEAD.format(
         count=len(lines),
         learners=", ".join(names),
-        names=" | ".join([*names, *("as it is" for _ in names), "random"]),
-        lines="---|" * 2 * len(names) + "---",
+        names="ppo | best other | as it is | random",
+        lines="---|" * 3 + "---",
     )
     return head + "\n".join(lines) + "\n" + BOARD_TAIL.format()
 

@@ -15,7 +15,7 @@ import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import read_problem
 from certigym.synthesis.extended_check.claims import greedy_disturbance
-from certigym.synthesis.extended_check.vertex_grids import Backups, LatticeImages, backups, disturbances, images
+from certigym.synthesis.extended_check.vertex_grids import Backups, LatticeImages, any_disturbance, backups, images
 from certigym.synthesis.policy_search.vertex_values.counted_backups import Counted
 from certigym.synthesis.policy_search.vertex_values.value_iteration import iterated
 from test_vertex_grids_are_below_the_truth import interpolated
@@ -105,7 +105,7 @@ CASES = [(kind, on_lattice) for kind in KINDS for on_lattice in (False, True) if
 def test_backups_are_below_the_worst(
     kind: str, on_lattice: bool, most: int, near: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(disturbances, "MOST_PIECES", most)
+    monkeypatch.setattr(any_disturbance, "MOST_PIECES", most)
     monkeypatch.setattr(images, "BESIDE", 100.0)  # blocks of a few pieces, so that what is far is left out
     pairs = [below_and_true(kind, seed, on_lattice, near) for seed in range(2)]
     found, true = map(np.concatenate, zip(*pairs, strict=True))
@@ -115,7 +115,7 @@ def test_backups_are_below_the_worst(
 @pytest.mark.parametrize("on_lattice", [False, True])
 @pytest.mark.parametrize("part", ["charge", "kinks", "all but the middle"])
 def test_what_is_left_out_is_noticed(part: str, on_lattice: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    pieces = disturbances.pieces_of
+    pieces = any_disturbance.pieces_of
 
     def of_middle(self: Backups, inputs: np.ndarray, t: int) -> Any:
         loop = backups.closed_loop(self.agent, self.edges, inputs, t)
@@ -125,9 +125,9 @@ def test_what_is_left_out_is_noticed(part: str, on_lattice: bool, monkeypatch: p
         loop = pieces(*given)
         return replace(loop, off=0.0 * loop.off)
 
-    monkeypatch.setattr(disturbances, "MOST_PIECES", 1)
+    monkeypatch.setattr(any_disturbance, "MOST_PIECES", 1)
     if part == "charge":
-        monkeypatch.setattr(disturbances, "between", lambda a, b, bend: np.minimum(a, b))
+        monkeypatch.setattr(any_disturbance, "between", lambda a, b, bend: np.minimum(a, b))
     elif part == "kinks":  # pieces with kinks, as if they had none
         monkeypatch.setattr(backups, "pieces_of", exact)
     else:

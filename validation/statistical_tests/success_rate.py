@@ -18,6 +18,7 @@ from ...synthesis.certificates.proofs import (
     Certificate,
     CheckReport,
     Synthesis,
+    VertexProof,
     certificate_from,
     on_cells,
     relations_tried,
@@ -354,7 +355,7 @@ def _behaviours(certificate: Certificate) -> dict[str, Behaviour]:
     if not any(agent.disturbances for agent in agents):
         return {"zero": "zero"}
     named: dict[str, Behaviour] = {name: name for name in BEHAVIOURS}
-    if on_cells(certificate) is certificate:
+    if on_cells(certificate) is certificate or isinstance(certificate.proof, VertexProof):
         named["greedy"] = greedy_disturbance(certificate)
     return named
 

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from ....envs.simulation import Dynamics, Worlds, joint, neighbours
 from ....envs.systems.agents import Agent
-from ...certificates.proofs import OnGrid, seen_by
+from ...certificates.proofs import OnGrid, VertexProof, seen_by
 from ...relations.grids import FloatArray
 from .values_in_time import ValueInTime, claimed_values
+from .grid_values import VertexValues
 
 MOST_CORNERS = 64
 """Corners of all disturbances together up to which all are compared; beyond, disturbances are changed one at a time."""
@@ -34,7 +35,7 @@ class Greedy:
 
     def __init__(self, certificate: OnGrid) -> None:
         self.certificate = certificate
-        self._value: ValueInTime | None = None
+        self._value: Any = None
 
     def __repr__(self) -> str:
         return f"Greedy(of {self.certificate.problem.name!r})"
@@ -62,7 +63,12 @@ class Greedy:
         """Return the certified values (M,) one step later, at the means of the next states."""
         if self._value is None:
             # What a disturbance aims at need not be a bound.
-            self._value = ValueInTime(self.certificate, claimed_values(self.certificate), seen_by(self.certificate))
+            proof: Any = self.certificate.proof
+            self._value = (
+                VertexValues(self.certificate)  # type: ignore[arg-type]
+                if isinstance(proof, VertexProof)
+                else ValueInTime(self.certificate, claimed_values(self.certificate), seen_by(self.certificate))
+            )
         means = []
         others = neighbours(dynamics, worlds.states, inputs)
         for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):

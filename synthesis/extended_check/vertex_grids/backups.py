@@ -52,9 +52,9 @@ from ...checker.intervals import up
 from ...checker.motions import cell_boxes, cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
+from .any_disturbance import AnyDisturbance, nodes_of, pieces_of
 from .closed_loops import ClosedLoop, closed_loop, corners_of, images_at, names_time, vertices_of
 from .coordinates import Independent, independent, start_points
-from .disturbances import AnyDisturbance, nodes_of, pieces_of
 from .images import Images, Vertices
 from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of

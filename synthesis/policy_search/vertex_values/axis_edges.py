@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ....envs.systems.agents import TURN
 from ...checker import CheckedProblem, plain_sum
-from ...checker.problem import TURN
 from ...extended_check.vertex_grids import images_at
 from ...relations.grids import FloatArray
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.simulation import Dynamics, batch_simulator
+from ....envs.systems.agents import TURN
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...checker import CheckedProblem, followed, value_on
-from ...checker.problem import TURN
-from ...checker.tree import finished
 from ...extended_check.vertex_grids import ROOM, images_at, numbers_in, vertices_of
 from ...relations.grids import FloatArray
 from .axis_edges import spreads_in
@@ -127,7 +126,8 @@ class Runs:
     def windows(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
         """Return windows (T + 1, 2, d) of states to which nearly all runs come that were undecided one step before."""
         (low, high), automaton, ends = walls_of(problem), problem.automaton, list[FloatArray]()
-        is_open = ~(np.array(finished(automaton)) | np.array(automaton.dead()))
+        done = np.array(automaton.accepting) & automaton.is_co_safe
+        is_open = ~(done | np.array(automaton.dead()))
         for t, states in enumerate(self.states):
             some = states[:, is_open[self.q[max(t - 1, 0)]]]
             some = some if some.shape[1] >= FEW else states if not ends else np.zeros((len(low), 0))
