@@ -154,6 +154,19 @@ def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp
     assert cg.check(again) and all(map(np.array_equal, again.proof.edges, proof.edges))
 
 
+@pytest.mark.parametrize("forge", ["window", "number"])
+def test_lattices_and_axes_of_other_shapes_are_refused(certificate: cg.Certificate, forge: str, tmp_path: Path) -> None:
+    proof: Any = certificate.proof
+    if forge == "window":
+        report = cg.check(replace(certificate, proof=replace(proof, window=proof.window[0])))
+        assert not report and "each time" in str(report.failures)
+    else:
+        wrong = replace(proof, edges=(np.array(1.0), *proof.edges[1:]))
+        cg.save(replace(certificate, proof=wrong), tmp_path / "c.npz")
+        with pytest.raises(ValueError, match="fit its grid"):
+            cg.load(tmp_path / "c.npz")
+
+
 @pytest.mark.parametrize("forge", ["one time", "later", "beyond", "turned", "fewer"])
 def test_forged_grids_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof

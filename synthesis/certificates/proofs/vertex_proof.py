@@ -98,7 +98,7 @@ class VertexProof(FailureProof):
         edges = tuple(stored.numbers(number) for number in entries)
         times = problem.horizon + 1
         fits = len(edges) == agent.n_states and all(
-            axis.shape[:-1] in ((), (times,)) and axis.shape[-1] > 1
+            axis.ndim > 0 and axis.shape[:-1] in ((), (times,)) and axis.shape[-1] > 1
             and np.all(np.isfinite(axis)) and np.all(np.diff(axis, axis=-1) > 0.0)
             for axis in edges
         )  # fmt: skip

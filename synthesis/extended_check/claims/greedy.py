@@ -18,8 +18,8 @@ from ....envs.simulation import Dynamics, Worlds, joint, neighbours
 from ....envs.systems.agents import Agent
 from ...certificates.proofs import OnGrid, VertexProof, seen_by
 from ...relations.grids import FloatArray
-from .values_in_time import ValueInTime, claimed_values
 from .grid_values import VertexValues
+from .values_in_time import ValueInTime, claimed_values
 
 MOST_CORNERS = 64
 """Corners of all disturbances together up to which all are compared; beyond, disturbances are changed one at a time."""

@@ -150,6 +150,9 @@ class Backups:
                 axis.shape[:-1] != (self.problem.horizon + 1,) or axis.min() < low or axis.max() > high
             ):
                 raise Refused(f"the cells of `{agent.name}` do not lie in its workspace at each time")
+        ends = (self.problem.horizon + 1,) if self.moves else ()
+        if self.window is not None and self.window.shape != (*ends, 2, len(agent.states)):
+            raise Refused("its lattice has no ends along each axis, at each time where its grid moves")
         if isinstance(self.problem, Independent):
             self.problem.refuse_fine(self.edges)
         if agent.angles:
