@@ -51,5 +51,5 @@ CERTIFIED: dict[str, float] = {
     "swarm-8-v0": 0.999983243,
     "swarm-v0": 0.999994873,
     "van-der-pol-v0": 0.749748443,
-    "windy-delivery-v0": 0.999929668,
+    "windy-delivery-v0": 0.999999887,
 }
