@@ -87,7 +87,7 @@ LEFT, SEEN = (0.3, 1e-3), 30
 controller itself fails by, as far as its runs say: where it fails in so many of them.
 """
 
-MOVING, MOVING_WIDTH = {2: 0.6, 3: math.inf}, 1.6
+MOVING, MOVING_WIDTH = {2: 0.6, 3: math.inf}, {2: 1.6, 3: 1.3}
 """By the number of states, share of the cells of a grid at rest from which on one moves with runs, and deviations that
 its cells are wide at first."""
 
@@ -267,7 +267,7 @@ def _moving_cells(
     at_rest, is_turning = (window[1] - window[0]) / np.median(spreads, axis=1), bool(problem.agents[0].angles)
     if not is_turning and np.prod(lengths, axis=1).mean() > MOVING[d] * np.prod(at_rest):
         return None
-    cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH
+    cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH[d]
     edges = moving_grid_of(problem, spreads, round(float(np.prod(cells))), windows)
     steps = Backups(problem, edges, (True,) * d, NEAR, noise_laws)
     steps.window = _lattice_around(steps, windows)
