@@ -11,9 +11,17 @@ import pytest
 from scipy.stats import beta
 
 import certigym as cg
+from certigym.envs.systems.distributions import Gaussian
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem, value_on
-from certigym.synthesis.extended_check.vertex_grids import Backups, Independent, coordinates, images_at, independent
+from certigym.synthesis.extended_check.vertex_grids import (
+    Backups,
+    Independent,
+    Normal,
+    coordinates,
+    images_at,
+    independent,
+)
 from certigym.synthesis.extended_check.vertex_grids.coordinates import FINEST
 
 LAPLACE = {"law": "laplace", "scale": 0.1}
@@ -174,6 +182,10 @@ def test_normal_noise_with_two_sources_for_each_state_is_taken_apart() -> None:
     noise = [{"law": "gaussian", "std": 0.1}, {"law": "gaussian", "std": 0.2}]
     other = independent(checked(problem_of("other laws", noise=noise, noise_axes=[[1, 0.5], [-0.5, 1]])))
     assert isinstance(other, Independent) and other.lost < 1e-13
+    # laws by their place say nothing of the sources of other coordinates
+    edges = tuple(np.linspace(a, b, 9) for a, b in other.agents[0].state_box.T)
+    steps = Backups(other, edges, (True, True), noise_laws=[Gaussian(0.1), Gaussian(0.2)])
+    assert all(isinstance(own, Normal) for own in steps.noises)
     noise[0] = {"law": "laplace", "scale": 0.1}
     assert not isinstance(
         independent(checked(problem_of("other laws", noise=noise, noise_axes=[[1, 0.5], [-0.5, 1]]))), Independent

@@ -185,7 +185,9 @@ class Backups:
     @cached_property
     def noises(self) -> list[Noise | None]:
         """The noise of each axis, in units of the deviation of its source; None where there is none."""
-        laws, agent, result = self.noise_laws, self.agent, list[Noise | None]()
+        agent, result = self.agent, list[Noise | None]()
+        # sources that are all normal may be those of other coordinates, of which no law is known by its place
+        laws = None if all(own.tail == NORMAL for own in agent.envelopes) else self.noise_laws
         if laws is None and any(own.tail != NORMAL or own.mean or own.off or own.lost for own in agent.envelopes):
             raise Refused(f"the noise of `{agent.name}` is not normal, and nothing says which law it has")
         for row in agent.noise:
