@@ -17,7 +17,7 @@ from certigym.synthesis.certificates.controllers import interpolated
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
 from certigym.synthesis.extended_check.vertex_grids import Backups, turns
-from certigym.synthesis.policy_search.vertex_values import value_iteration
+from certigym.synthesis.policy_search.vertex_values import sampled_runs, value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
 
 HORIZON = 6
@@ -177,6 +177,15 @@ def test_forged_grids_are_refused(certificate: cg.Certificate, forge: str) -> No
     forged = replace(proof, edges=(wrong.get(forge, first[1:]), *others))
     report = cg.check(replace(certificate, proof=forged))
     assert not report and report.failures
+
+
+def test_windows_of_all_runs_stay_narrower_than_a_turn() -> None:
+    problem = checked(turning())
+    windows = np.tile(np.array([[-1.0, -1.0, -4.0], [1.0, 1.0, 3.5]]), (problem.horizon + 1, 1, 1))
+    found = sampled_runs.within_a_turn(problem, windows)
+    assert np.array_equal(found[..., :2], windows[..., :2])
+    edges = tuple(found[:, :1, k] + (found[:, 1:, k] - found[:, :1, k]) * np.linspace(0.0, 1.0, 9) for k in range(3))
+    assert Backups(problem, edges, (True,) * 3).moves and np.ptp(found[0, :, 2]) > 6.28
 
 
 def test_runs_that_spread_wide_are_refused_in_words() -> None:

@@ -135,11 +135,16 @@ class Runs:
         result = np.stack(ends)
         beside = np.maximum(BESIDE * spreads_in(problem, spreads, result), STRETCHED * 0.5 * np.ptp(result, axis=1))
         result = np.stack([np.maximum(result[:, 0] - beside, low), np.minimum(result[:, 1] + beside, high)], axis=1)
-        for k in np.flatnonzero(np.isinf(low)):
-            middle, half = result[:, :, k].mean(axis=1), 0.5 * TURN - ROOM
-            result[:, 0, k] = np.maximum(result[:, 0, k], middle - half)
-            result[:, 1, k] = np.minimum(result[:, 1, k], middle + half)
-        return result
+        return within_a_turn(problem, result)
+
+
+def within_a_turn(problem: CheckedProblem, windows: FloatArray) -> FloatArray:
+    """Return windows (T + 1, 2, d) that are narrower than a turn along angles."""
+    middle, half = windows.mean(axis=1), 0.5 * TURN - ROOM
+    turning = np.isinf(walls_of(problem)[0])
+    first = np.where(turning, np.maximum(windows[:, 0], middle - half), windows[:, 0])
+    last = np.where(turning, np.minimum(windows[:, 1], middle + half), windows[:, 1])
+    return np.stack([first, last], axis=1)
 
 
 def walls_of(problem: CheckedProblem) -> FloatArray:

@@ -30,7 +30,7 @@ from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, moving_grid_of, spreads_in, spreads_of
 from .counted_backups import BrokenOff, Counted
 from .input_choice import INPUTS, Choice
-from .sampled_runs import MANY, RUNS, Runs, walls_of
+from .sampled_runs import MANY, RUNS, Runs, walls_of, within_a_turn
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
@@ -211,7 +211,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 window = _within(alive, runs.window(checked, spreads))
                 edges = grid_of(checked, spreads, round(vertices), window, finer)
             else:
-                window = _hull(window, runs.windows(checked, spreads))
+                window = within_a_turn(checked, _hull(window, runs.windows(checked, spreads)))
                 edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
@@ -244,6 +244,9 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
         work.is_interrupted = True
     except BrokenOff:
         pass
+    except Refused as reason:  # of a grid; what was found has to do
+        if best is None:
+            raise RelationRefused(str(reason)) from reason
     if best is None or best.failure >= 1.0:
         raise RelationRefused(
             f"nothing is proved on grids of {', '.join(levels) or 'few'} cells; ask for more `effort`"
@@ -269,7 +272,10 @@ def _moving_cells(
         return None
     cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH[d]
     edges = moving_grid_of(problem, spreads, round(float(np.prod(cells))), windows)
-    steps = Backups(problem, edges, (True,) * d, NEAR, noise_laws)
+    try:
+        steps = Backups(problem, edges, (True,) * d, NEAR, noise_laws)
+    except Refused:
+        return None
     steps.window = _lattice_around(steps, windows)
     if d > 2:
         if steps.window is None:
