@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from scipy.stats import beta
 
 import certigym as cg
 from certigym.synthesis.certificates.controllers import interpolated
@@ -19,6 +18,7 @@ from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
 from certigym.synthesis.extended_check.vertex_grids import Backups, turns
 from certigym.synthesis.policy_search.vertex_values import sampled_runs, value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
+from rollout_limits import most_by_rollouts
 
 HORIZON = 6
 STD = {2: [0.1, 0.15], 3: [0.12, 0.12, 0.2]}
@@ -145,10 +145,7 @@ def test_a_vehicle_in_noise_is_certified_by_default() -> None:
 def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp_path: Path) -> None:
     proof: Any = certificate.proof
     assert proof.moves and "move with runs" in proof.method and certificate.lower_bound > 0.5
-    rollouts, alarm = 20_000, 1e-6
-    successes = cg.rollout(certificate.problem, certificate.controller, episodes=rollouts, seed=3).successes
-    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
-    assert certificate.lower_bound <= most
+    assert certificate.lower_bound <= most_by_rollouts(certificate, 3)
     cg.save(certificate, tmp_path / "c.npz")
     again: Any = cg.load(tmp_path / "c.npz")
     assert cg.check(again) and all(map(np.array_equal, again.proof.edges, proof.edges))
@@ -238,10 +235,7 @@ def test_a_vehicle_that_turns_through_pi_is_certified() -> None:
     proof: Any = found.certificate.proof
     assert found.lower_bound > 0.3 and proof.edges[2].max() > np.pi
     assert cg.check(found.certificate)
-    rollouts, alarm = 20_000, 1e-6
-    successes = cg.rollout(problem, found.controller, episodes=rollouts, seed=4).successes
-    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
-    assert found.lower_bound <= most
+    assert found.lower_bound <= most_by_rollouts(found.certificate, 4)
     # the same point of the circle, the same input
     controller: Any = found.controller
     x = np.array([[-1.0, -1.0], [0.0, 0.0], [3.1, 3.1 - 2.0 * np.pi]])

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import beta
 
 import certigym as cg
 from certigym.envs.systems.distributions import Gaussian
@@ -23,6 +22,7 @@ from certigym.synthesis.extended_check.vertex_grids import (
     independent,
 )
 from certigym.synthesis.extended_check.vertex_grids.coordinates import FINEST
+from rollout_limits import most_by_rollouts
 
 LAPLACE = {"law": "laplace", "scale": 0.1}
 NOISE: dict[str, dict[str, Any]] = {
@@ -97,10 +97,7 @@ def certificate() -> cg.Certificate:
 def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp_path: Path) -> None:
     proof: Any = certificate.proof
     assert proof.kind == "vertex-grid" and proof.matrix is not None and certificate.lower_bound > 0.9
-    rollouts, alarm = 20_000, 1e-6
-    successes = cg.rollout(certificate.problem, certificate.controller, episodes=rollouts, seed=3).successes
-    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
-    assert certificate.lower_bound <= most
+    assert certificate.lower_bound <= most_by_rollouts(certificate, 3)
     cg.save(certificate, tmp_path / "c.npz")
     again: Any = cg.load(tmp_path / "c.npz")
     assert cg.check(again) and np.array_equal(again.proof.matrix, proof.matrix)
