@@ -46,7 +46,8 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
     ----------
     noise : sequence of d mappings or laws
         Such as `{ law = "gaussian", std = 0.05 }`, one for each axis, or a single one for
-        all, in which a number may be a list of d; numbers are in units of the state.
+        all, in which a number may be a list of d; numbers are in units of the state. A number stands for the normal
+        law with this deviation.
 
     Raises
     ------
@@ -82,6 +83,8 @@ def _of_axis(value: Any, k: int, d: int) -> Any:
 
 def _law(entry: Any) -> Law:
     """Return one law, or raise ValueError."""
+    if isinstance(entry, Real) and not isinstance(entry, bool):
+        entry = {"law": Gaussian.name, "std": entry}
     if not isinstance(entry, Mapping) or "law" not in entry:
         got = shown(dict(entry) if isinstance(entry, Mapping) else entry)
         raise ValueError(f'`noise`: expected laws such as {{ law = "gaussian", std = 0.05 }}, got {got}; use {NAMES}')
