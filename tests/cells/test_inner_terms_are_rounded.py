@@ -118,3 +118,20 @@ def test_the_check_refuses_searches_that_forget_inner_terms(monkeypatch: pytest.
     # Its eye for inner terms is what refuses: without it the forgery passes.
     monkeypatch.setattr(target_enclosures, "inner_losses", lambda relation, low, high: np.zeros(low.shape))
     assert cg.check(forged)
+
+
+def test_a_root_of_what_is_exact_at_0_is_known() -> None:
+    """Where nothing is rounded ends stay: moved below 0 they would have no root, and cells at 0 no inputs."""
+    tank = cg.Agent(
+        name="tank", states=["h"], inputs=["u"], dynamics=["h + 0.4*(u - 0.6*sqrt(max(h, 0)))"],
+        noise=[{"law": "uniform", "low": -0.35, "high": 0.35}], state_low=[0], state_high=[4], input_low=[0],
+        input_high=[1.5], initial_state=[1.0],
+    )  # fmt: skip
+    relation, low = inverse_means.symbolic_targets(tank), np.array([[0.0], [0.002]])
+    with np.errstate(all="ignore"):
+        losses = target_enclosures.inner_losses(relation, low, low + 0.002)
+    assert np.all((losses > 0.0) & (losses < 1e-12))
+    full = {"full": cg.Proposition("tank", [2.2], [2.9])}
+    problem = cg.Problem(name="tank", agents=[tank], propositions=full, specification="F full", horizon=8)
+    certificate = cg.synthesize(problem, relation="exact", effort=5.0).certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.97

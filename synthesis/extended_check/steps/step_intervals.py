@@ -296,7 +296,9 @@ def computed_off(tree: Tree, leaves: Leaves) -> tuple[FloatArray, FloatArray]:
     own_off = np.zeros(n) if tree.name in EXACT else share * size + np.finfo(float).tiny
     for slope, (_, off) in zip(np.abs(result.slopes).max(axis=0), found, strict=True):
         own_off = own_off + np.where((off == 0.0) | (slope == 0.0), 0.0, slope * off)
-    return np.stack([_down(result.ends[0] - own_off), _up(result.ends[1] + own_off)]), own_off
+    ends = np.stack([_down(result.ends[0] - own_off), _up(result.ends[1] + own_off)])
+    # what is exact stays where it is: a root of what is moved below 0 would be unknown
+    return np.where(own_off == 0.0, result.ends, ends), own_off
 
 
 def bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[FloatArray]:
