@@ -274,15 +274,16 @@ def _multilinear_below(at: Array, lacking: Array, blend: Array, share: Array) ->
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of one agent: kernel, sets of cells (K, S), policy (T or 1, Q, S).
-
-    ``start`` (K0, places) are lower bounds on the weights of places for starts in a set of cells.
-    """
+    """Cells of one agent: kernel, sets (K, S), policy (T or 1, Q, S); weights of starts in each set, from below."""
 
     kernel: Kernel
     sets: Truth
     policy: Whole
     start: Array
+
+    def sets_at(self, t: int) -> Truth:
+        """Return the sets (K, S) of cells: at all times the same."""
+        return self.sets
 
     def policy_at(self, t: int, q: int) -> Whole:
         """Return the choice (S,) of each cell, -1 for none."""

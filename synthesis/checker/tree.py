@@ -166,7 +166,7 @@ def _one_step_earlier(team: Team, tree: Tree, later: _Values, t: int) -> _Values
         _check_unions(unions, kept, len(vertices), len(team.agents))
         terms.append(np.zeros((len(kept), len(team.agents)), dtype=np.int64))
         for i, cells in enumerate(team.agents):
-            cut = spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel)
+            cut = spread(cells.sets_at(t + 1)[team.guards.sets[vertices[:, 0], i]], cells.kernel)
             vertex = cut * later.factors[i][below[:, i]]
             _unite(vertex, unions, i, KEPT if cells.kernel.inputs else 1.0)
             backed, where = memory.backup(cells.kernel, vertex[kept], cells.policy_at(t, q))

@@ -28,7 +28,7 @@ from ..composition import each_horizon, horizons_of, joint_strategies, synthesiz
 from ..policy_search.ascent import Search
 from ..policy_search.cell_certificates import Plan, along_path, continued, judged, with_textbook_feedback
 from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of, sweep_bar
-from ..policy_search.vertex_values import vertex_grid_certificate
+from ..policy_search.vertex_values import vertex_grid_certificate, vertex_team_certificate
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
 from .search_options import SearchOptions, options_of
 from .task_strategies import (
@@ -95,7 +95,7 @@ def synthesize(
         than 1e-6.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
-        number of states), ``"vertices"`` (one agent of few states; inputs interpolated between vertices), or
+        number of states), ``"vertices"`` (agents of few states; inputs interpolated between vertices), or
         ``"paper"`` (scalar agents; may be lost with a probability delta per step). ``"auto"``,
         which also holds for agents that a mapping leaves out, takes ``exact`` where it leaves most of the inputs to the
         policy, tries ``linear`` and ``boxes`` where much is left open, and keeps the largest bound (see
@@ -228,7 +228,8 @@ def _of_task(
     if relation in ("path", "vertices"):
         if cells is not None or start is not None:
             raise ValueError(f"`relation`: expected no cells or start with {relation!r}, which needs none; leave out")
-        return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
+        on_vertices = vertex_grid_certificate if problem.n_agents == 1 else vertex_team_certificate
+        return (along_path if relation == "path" else on_vertices)(problem, plan.along_paths)
     is_free = cells is None and relation == "auto" and start is None and plan.paths and has_usual_search(plan)
     if is_free and not plan.effort.lost and are_better_apart(problem):
         ways = (lambda: _apart(problem, plan)), (lambda: _in_time(problem, None, "auto", plan, None))

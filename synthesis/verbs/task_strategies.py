@@ -45,7 +45,13 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
+from ..policy_search.vertex_values import (
+    refuse_vertex_grid,
+    refuse_vertex_team,
+    refuse_without_guess,
+    vertex_grid_certificate,
+    vertex_team_certificate,
+)
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -168,8 +174,12 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
     # cells of tasks that are written out in time are as many as there are steps, which costs little on a line
-    few, alone = problem.n_agents == 1 and problem.agents[0].n_states == MOST_STILL_STATES, has_vertices_only(problem)
-    ways = [vertex_strategy(problem, plan)] if few or alone else []
+    few, of_team = (
+        problem.n_agents == 1 and problem.agents[0].n_states == MOST_STILL_STATES,
+        has_vertices_of_team(problem),
+    )
+    alone = of_team or has_vertices_only(problem)
+    ways = [(team_strategy if of_team else vertex_strategy)(problem, plan)] if few or alone else []
     if not ways and moves_with_runs(problem):
         ways = [_moving(problem, plan)]
 
@@ -264,7 +274,9 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
     # A task written out in time had its grid of vertices as it was written.
-    if plan.paths and (has_vertices_only(problem) or is_disturbed(problem)):
+    if plan.paths and has_vertices_of_team(problem):
+        strategies.insert(0, team_strategy(problem, plan))
+    elif plan.paths and (has_vertices_only(problem) or is_disturbed(problem)):
         strategies.insert(0, vertex_strategy(problem, plan))
     elif plan.paths and _is_too_much_for_cells(problem, strategies, plan):
         strategies.insert(0, replace(vertex_strategy(problem, plan), enough=GOOD))
@@ -294,10 +306,12 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     # Grids of vertices wait for it where there are disturbances, and other cells prove less then than either.
     waited = is_disturbed(problem) and may_have_vertices(problem)
-    work = 0.0 if waited else PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
+    of_team = has_vertices_of_team(problem)
+    work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    has_vertices = waited or ((has_vertices_only(problem) or has_shared_noise(problem)) and may_have_vertices(problem))
+    alone = (has_vertices_only(problem) or has_shared_noise(problem)) and may_have_vertices(problem)
+    has_vertices = waited or alone or of_team
 
     def run(results: Results) -> Synthesis:
         along = plan.along_paths
@@ -309,13 +323,14 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
             if has_vertices and along.largest < PATH_ENDS and along.spent > LATER:
                 return True
             return seconds_over() or (
-                has_nothing and (is_beside or (has_vertices and (waited or has_other_noise(problem))))
+                has_nothing and (is_beside or (has_vertices and (waited or of_team or has_other_noise(problem))))
             )
 
         along.is_broken_off = is_left
         return along_path(problem, along)
 
-    return Strategy("path", run, work, enough=enough, ends=SOLVED if waited else PATH_ENDS)
+    ends = SOLVED if waited else WRITTEN_ENOUGH if of_team else PATH_ENDS
+    return Strategy("path", run, 0.0 if waited or of_team else work, enough=enough, ends=ends)
 
 
 def may_have_vertices(problem: Problem) -> bool:
@@ -384,6 +399,37 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
     # Where a path does well it takes a fraction of the time; on a line, with disturbances, grids take a second.
     is_quick = is_disturbed(problem) and problem.agents[0].n_states == 1
     return Strategy("vertices", run, enough=SOLVED, after="" if is_quick else "path")
+
+
+def has_vertices_of_team(problem: Problem) -> bool:
+    """Return whether agents of a team have few states, and one has disturbances, or noise that only boxes know."""
+    if problem.n_agents == 1 or any(agent.n_states > MOST_STILL_STATES for agent in problem.agents):
+        return False
+    return any(
+        agent.disturbances or not (has_linear_cells(agent) or (reaches_every_mean(agent) and agent.noise_scale is None))
+        for agent in problem.agents
+    )
+
+
+def team_strategy(problem: Problem, plan: Plan) -> Strategy:
+    """Return the way of a team on grids whose vertices have inputs, one for each agent."""
+    try:
+        refuse_vertex_team(problem)
+    except RelationRefused as error:
+        return refused("vertices", error)
+    effort = plan.effort
+    work = replace(plan.along_paths, told=effort.tell_bound)
+
+    def run(results: Results) -> Synthesis:
+        with work.within(SHARE_OF_VERTICES * work.limit):
+            path = results.get("path")
+            work.largest = max(work.largest, path.certificate.lower_bound if path else 0.0)
+            found = vertex_team_certificate(problem, work, path.controller if path else None)
+        effort.is_interrupted |= work.is_interrupted
+        effort.spent += work.spent
+        return found
+
+    return Strategy("vertices", run, enough=SOLVED, after="path")
 
 
 def _exact(problem: Problem, plan: Plan) -> Strategy:

@@ -37,6 +37,10 @@ def vehicle(**more: Any) -> cg.Problem:
     return cg.Problem(name="p", agents=[agent], propositions=regions, specification="!rock U goal", horizon=7)
 
 
+def with_grid(proof: Any, **changed: Any) -> Any:
+    return replace(proof, grid=replace(proof.grid, **changed))
+
+
 def cart() -> cg.Problem:
     agent = cg.Agent(
         name="cart", states=["x", "v"], inputs=["u"], dynamics=["x + 0.3*v", "0.9*v + 0.4*u - 0.1*x*x"],
@@ -144,21 +148,21 @@ def test_a_vehicle_in_noise_is_certified_by_default() -> None:
 
 def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp_path: Path) -> None:
     proof: Any = certificate.proof
-    assert proof.moves and "move with runs" in proof.method and certificate.lower_bound > 0.5
+    assert proof.grid.moves and "move with runs" in proof.method and certificate.lower_bound > 0.5
     assert certificate.lower_bound <= most_by_rollouts(certificate, 3)
     cg.save(certificate, tmp_path / "c.npz")
     again: Any = cg.load(tmp_path / "c.npz")
-    assert cg.check(again) and all(map(np.array_equal, again.proof.edges, proof.edges))
+    assert cg.check(again) and all(map(np.array_equal, again.proof.grid.edges, proof.grid.edges))
 
 
 @pytest.mark.parametrize("forge", ["window", "number"])
 def test_lattices_and_axes_of_other_shapes_are_refused(certificate: cg.Certificate, forge: str, tmp_path: Path) -> None:
     proof: Any = certificate.proof
     if forge == "window":
-        report = cg.check(replace(certificate, proof=replace(proof, window=proof.window[0])))
+        report = cg.check(replace(certificate, proof=with_grid(proof, window=proof.grid.window[0])))
         assert not report and "each time" in str(report.failures)
     else:
-        wrong = replace(proof, edges=(np.array(1.0), *proof.edges[1:]))
+        wrong = with_grid(proof, edges=(np.array(1.0), *proof.grid.edges[1:]))
         cg.save(replace(certificate, proof=wrong), tmp_path / "c.npz")
         with pytest.raises(ValueError, match="fit its grid"):
             cg.load(tmp_path / "c.npz")
@@ -167,11 +171,11 @@ def test_lattices_and_axes_of_other_shapes_are_refused(certificate: cg.Certifica
 @pytest.mark.parametrize("forge", ["one time", "later", "beyond", "turned", "fewer"])
 def test_forged_grids_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof
-    first, *others = proof.edges
+    first, *others = proof.grid.edges
     beyond, turned = first.copy(), first.copy()
     beyond[3, -1], turned[3] = 5.5, turned[3, ::-1]
     wrong = {"one time": first[1], "later": np.roll(first, 1, axis=0), "beyond": beyond, "turned": turned}
-    forged = replace(proof, edges=(wrong.get(forge, first[1:]), *others))
+    forged = with_grid(proof, edges=(wrong.get(forge, first[1:]), *others))
     report = cg.check(replace(certificate, proof=forged))
     assert not report and report.failures
 
@@ -233,7 +237,7 @@ def test_a_vehicle_that_turns_through_pi_is_certified() -> None:
     path = cg.synthesize(problem, relation="path", effort=4.0)
     found = value_iteration.vertex_grid_certificate(problem, CountedWork(10.0), path.controller)
     proof: Any = found.certificate.proof
-    assert found.lower_bound > 0.3 and proof.edges[2].max() > np.pi
+    assert found.lower_bound > 0.3 and proof.grid.edges[2].max() > np.pi
     assert cg.check(found.certificate)
     assert found.lower_bound <= most_by_rollouts(found.certificate, 4)
     # the same point of the circle, the same input
@@ -242,6 +246,6 @@ def test_a_vehicle_that_turns_through_pi_is_certified() -> None:
     same = controller.inputs(0, x, np.array([problem.automaton.initial] * 2), 3)
     assert np.allclose(same[:, 0], same[:, 1], atol=1e-9)
     # a window of a turn is refused: which number would a state be?
-    wide = proof.edges[2][:, :1] + (2.0 * np.pi) * np.linspace(0.0, 1.0, proof.edges[2].shape[1])
-    report = cg.check(replace(found.certificate, proof=replace(proof, edges=(*proof.edges[:2], wide))))
+    wide = proof.grid.edges[2][:, :1] + (2.0 * np.pi) * np.linspace(0.0, 1.0, proof.grid.edges[2].shape[1])
+    report = cg.check(replace(found.certificate, proof=with_grid(proof, edges=(*proof.grid.edges[:2], wide))))
     assert not report and "narrower than a turn" in str(report.failures)

@@ -96,18 +96,18 @@ def certificate() -> cg.Certificate:
 
 def test_certificates_stand_rollouts_and_travel(certificate: cg.Certificate, tmp_path: Path) -> None:
     proof: Any = certificate.proof
-    assert proof.kind == "vertex-grid" and proof.matrix is not None and certificate.lower_bound > 0.9
+    assert proof.kind == "vertex-grid" and proof.grid.matrix is not None and certificate.lower_bound > 0.9
     assert certificate.lower_bound <= most_by_rollouts(certificate, 3)
     cg.save(certificate, tmp_path / "c.npz")
     again: Any = cg.load(tmp_path / "c.npz")
-    assert cg.check(again) and np.array_equal(again.proof.matrix, proof.matrix)
+    assert cg.check(again) and np.array_equal(again.proof.grid.matrix, proof.grid.matrix)
 
 
 @pytest.mark.parametrize("forge", ["none", "turned", "finer"])
 def test_other_coordinates_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof
-    matrix = {"none": None, "turned": proof.matrix.T, "finer": np.nextafter(proof.matrix, 2.0)}[forge]
-    report = cg.check(replace(certificate, proof=replace(proof, matrix=matrix)))
+    matrix = {"none": None, "turned": proof.grid.matrix.T, "finer": np.nextafter(proof.grid.matrix, 2.0)}[forge]
+    report = cg.check(replace(certificate, proof=replace(proof, grid=replace(proof.grid, matrix=matrix))))
     assert not report and "other coordinates" in str(report.failures)
 
 

@@ -31,7 +31,7 @@ from certigym.synthesis.extended_check.vertex_grids import (
     noise_bounds,
 )
 from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
-from certigym.synthesis.policy_search.vertex_values import input_choice, value_iteration
+from certigym.synthesis.policy_search.vertex_values import input_choice, sampled_runs, value_iteration
 from certigym.synthesis.policy_search.vertex_values.counted_backups import Counted
 from certigym.synthesis.trajectories.planning import CountedWork
 from kinds import mostly_thorough
@@ -171,9 +171,7 @@ def below_and_true(
     inputs = np.clip(inputs, -1.0, 1.0)
     bumps = 0.6 + 0.4 * np.cos(rng.normal(size=(1, len(at))) @ at + rng.uniform(0, 6))[0]
     bumps = 0.5 + 0.2 * at[0] * at[-1] if saddle else bumps
-    W = steps._on_cells(
-        bumps.reshape(tuple(len(axis) for axis in edges)), rng.random(steps.shape) < 0.01 * (not saddle)
-    )
+    W = steps.on_cells(bumps.reshape(tuple(len(axis) for axis in edges)), rng.random(steps.shape) < 0.01 * (not saddle))
     W = W if saddle else np.where(rng.random(W.shape) < 0.01, rng.random(W.shape), W)
     values, nothing = steps.below(W, steps.images_of(inputs, 0))
     x = np.stack([rng.uniform(axis[0], axis[-1], 600 if more else 4000) for axis in edges])
@@ -595,7 +593,7 @@ def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
     most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
     assert found.certificate.lower_bound <= most
     checked, laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws or ()
-    held = proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near
+    held = proof.grid.edges, proof.grid.inputs, proof.grid.laws, proof.grid.jumps, proof.grid.near
     assert failure_of(checked, *held, laws) <= proof.failure
     # The law is that of the problem: a narrower one proves another number, and none proves nothing.
     narrow: Any = next(iter(laws))
@@ -607,16 +605,18 @@ def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
 @pytest.mark.parametrize("forge", ["failure", "inputs", "edges", "no number", "laws", "jumps"])
 def test_forgeries_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof
-    axis = proof.edges[0]
-    changed = {
-        "failure": {"failure": 0.5 * proof.failure},
-        "inputs": {"inputs": 3.0 * proof.inputs + 1.0},
+    axis = proof.grid.edges[0]
+    changed: dict[str, Any] = {
+        "inputs": {"inputs": 3.0 * proof.grid.inputs + 1.0},
         "edges": {"edges": (np.concatenate([axis[:-1], [axis[-1] + 1.0]]),)},
         "no number": {"edges": (np.concatenate([axis[:2], [np.nan], axis[3:]]),)},
-        "laws": {"laws": proof.laws + 1000},
+        "laws": {"laws": proof.grid.laws + 1000},
         "jumps": {"jumps": ()},
-    }[forge]
-    assert not cg.check(replace(certificate, proof=replace(proof, **changed)))
+    }
+    forged = replace(proof, grid=replace(proof.grid, **changed.get(forge, {})))
+    if forge == "failure":
+        forged = replace(proof, failure=0.5 * proof.failure)
+    assert not cg.check(replace(certificate, proof=forged))
 
 
 def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate) -> None:
@@ -625,7 +625,9 @@ def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate
     always = replace(problem.automaton, accepting=(True,) * len(problem.automaton.accepting))
     forged = replace(problem, automaton=always)
     with pytest.raises(Refused, match="not that of the formula"):
-        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, None)
+        failure_of(
+            forged, proof.grid.edges, proof.grid.inputs, proof.grid.laws, proof.grid.jumps, proof.grid.near, None
+        )
 
 
 def test_more_agents_or_other_noise_are_refused_in_words() -> None:
@@ -735,3 +737,25 @@ def test_cells_are_narrow_wherever_a_region_comes_by() -> None:
     checked = read_problem({"problem": canonical_problem(problem)})
     low, high = value_iteration._alive(checked, (np.linspace(-1.0, 9.0, 101),))
     assert low[0] <= -0.5 and 4.4 <= high[0] <= 4.7
+
+
+def test_runs_may_go_beyond_those_of_a_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A guess says where cells are narrow at first; cells whose images leave its window for good would be worth 0."""
+    agent = cg.Agent(
+        name="cart", states=["x", "v"], inputs=["u"], dynamics=["x + 0.3*v", "0.9*v + 0.4*u"], noise_std=[0.1, 0.2],
+        state_low=[-3, -2], state_high=[3, 2], input_low=[-1], input_high=[1], initial_state=[-1, 0],
+    )  # fmt: skip
+    goal = {"goal": cg.Proposition("cart", [0.5, -2], [2.5, 2])}
+    problem = cg.Problem(name="p", agents=[agent], propositions=goal, specification="F goal", horizon=10)
+    controller = cg.synthesize(problem, relation="path", effort=1.0).controller
+    free = value_iteration.vertex_grid_certificate(problem, CountedWork(3.0)).certificate.lower_bound
+    under = sampled_runs.Runs.under
+
+    def narrow(problem: cg.Problem, controller: Any) -> sampled_runs.Runs:
+        runs = under(problem, controller)
+        middle = np.median(runs.states, axis=(0, 2))[None, :, None]
+        return replace(runs, states=middle + 0.05 * (runs.states - middle), failure=0.2)
+
+    monkeypatch.setattr(sampled_runs.Runs, "under", narrow)
+    led = value_iteration.vertex_grid_certificate(problem, CountedWork(3.0), controller).certificate.lower_bound
+    assert free > 0.7 and led > free - 0.05

@@ -85,7 +85,7 @@ def below_and_true(kind: str, seed: int, on_lattice: bool, near: float = 6.8) ->
     inputs = np.clip(np.cos(rng.normal(size=(1, len(at))) @ at).T + 0.05 * rng.normal(size=(at.shape[1], 1)), -1.0, 1.0)
     bumps = 0.6 + 0.4 * np.cos(3.0 * rng.normal(size=(1, len(at))) @ at + rng.uniform(0, 6))[0]
     nothing = rng.random(steps.shape) < 0.01 * (seed % 2)
-    W = steps._on_cells(bumps.reshape(tuple(len(axis) for axis in steps.edges)), nothing)
+    W = steps.on_cells(bumps.reshape(tuple(len(axis) for axis in steps.edges)), nothing)
     seen = steps.images_of(inputs, 0)
     assert isinstance(seen, LatticeImages) == on_lattice
     values, lost = steps.below(W, seen)

@@ -49,7 +49,9 @@ def test_spaces_noise_and_start_say_what_keys_of_files_say(make: Any, own: dict[
     law = {"law": "laplace", "scale": 0.1}
     laws = make(**own, **KEYS, noise=[law, law])
     assert make(**own, **SPACES, noise=law).to_dict() == laws.to_dict()
-    mixed = make(**own, **KEYS, noise=[{"law": "gaussian", "std": 0.25}, law])  # a number is the deviation of a normal law
+    mixed = make(
+        **own, **KEYS, noise=[{"law": "gaussian", "std": 0.25}, law]
+    )  # a number is the deviation of a normal law
     assert make(**own, **SPACES, noise=[0.25, law]).to_dict() == mixed.to_dict()
     both = [{"law": "uniform", "low": -0.1, "high": high} for high in (0.1, 0.2)]
     in_one = {"law": "uniform", "low": -0.1, "high": [0.1, 0.2]}

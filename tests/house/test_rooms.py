@@ -70,8 +70,8 @@ MAY_IMPORT = {
     "synthesis.policy_search.cell_certificates": f"{ENVS} {CERTIFICATES} synthesis.abstraction.models "
     "synthesis.extended_check.claims synthesis.trajectories.planning synthesis.policy_search.ascent "
     "synthesis.policy_search.bounds synthesis.policy_search.portfolio",
-    "synthesis.policy_search.vertex_values": f"{ENVS} {CERTIFICATES} synthesis.checker "
-    "synthesis.extended_check.vertex_grids synthesis.trajectories.planning",
+    "synthesis.policy_search.vertex_values": f"{ENVS} {CERTIFICATES} synthesis.checker synthesis.abstraction.models "
+    "synthesis.extended_check.vertex_grids synthesis.trajectories.planning synthesis.policy_search.ascent",
     "synthesis.composition": f"{ENVS} {CERTIFICATES} synthesis.abstraction.models synthesis.extended_check.claims "
     "synthesis.trajectories.planning synthesis.policy_search.ascent synthesis.policy_search.portfolio "
     "synthesis.policy_search.cell_certificates",

@@ -18,6 +18,7 @@ from .finite_models import (
     models_of,
     relations_of,
 )
-from .joint import JointModel, count_of_decisions, join, spread_start, start_of
+from .guards import compile_guards
+from .joint import JointModel, cell_masks, count_of_decisions, join, spread_start, start_of
 from .network_model import network_abstraction, network_tables
 from .surroundings import surrounded

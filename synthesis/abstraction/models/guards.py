@@ -43,7 +43,12 @@ TreePath = tuple[int, int, Any] | None
 """Way from the root of a decision tree, last split first: agent, its label sets as bits, way to there."""
 
 
-def compile_guards(problem: Problem, label_sets: Sequence[BoolArray], states: Collection[int] | None = None) -> Guards:
+def compile_guards(
+    problem: Problem,
+    label_sets: Sequence[BoolArray],
+    states: Collection[int] | None = None,
+    classes: Sequence[BoolArray] | None = None,
+) -> Guards:
     """Return disjoint guards of ``problem``'s automaton over the label sets that occur in each agent's cells (exact).
 
     Parameters
@@ -53,13 +58,15 @@ def compile_guards(problem: Problem, label_sets: Sequence[BoolArray], states: Co
         Label sets of each agent.
     states : collection of int, optional
         Automaton states whose guards are wanted; default: all.
+    classes : sequence of (C_i, P_i) bool arrays, optional
+        What the classes of each agent say of its propositions; default: those of regions that stand still.
 
     Raises
     ------
     ValueError
         If a state has more than ``MAX_GUARDS`` guards.
     """
-    robust = _RobustAutomaton(problem, label_sets)
+    robust = _RobustAutomaton(problem, label_sets, classes)
     source, target, rows = [], [], []
     for q, root in enumerate(robust.roots):
         if states is not None and q not in states:
@@ -86,7 +93,9 @@ def compile_guards(problem: Problem, label_sets: Sequence[BoolArray], states: Co
 class _RobustAutomaton:
     """The robust automaton as decision diagrams, and the decision trees made from them."""
 
-    def __init__(self, problem: Problem, label_sets: Sequence[BoolArray]) -> None:
+    def __init__(
+        self, problem: Problem, label_sets: Sequence[BoolArray], classes: Sequence[BoolArray] | None = None
+    ) -> None:
         automaton = problem.automaton
         self.diagrams, roots = automaton.diagrams()
         finished = np.flatnonzero(automaton.finished).tolist()
@@ -95,7 +104,7 @@ class _RobustAutomaton:
         self.full = tuple((1 << len(sets)) - 1 for sets in label_sets)
         propositions = [[int(p) for p in problem.labeling.agent_propositions[i]] for i in range(self.n_agents)]
         self.agent_of = {p: i for i, numbers in enumerate(propositions) for p in numbers}
-        classes = [problem.labeling.classes[i] for i in range(self.n_agents)]
+        classes = [problem.labeling.classes[i] for i in range(self.n_agents)] if classes is None else classes
         # Per agent and class: the truth value of each proposition of the agent.
         self.assignments = [
             [dict(zip(numbers, (bool(b) for b in row), strict=True)) for row in rows]

@@ -11,61 +11,66 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import TURN
 from ....envs.systems.arguments import tree_text
-from ...relations.grids import FloatArray
+from ...relations.grids import FloatArray, alike_text
 from .communicated import told_of_all
 from .path_controller import PathController
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VertexController(PathController):
-    """The controller of one agent on a grid of its workspace; it sees its state, the automaton state and the time.
+    """Controllers on grids of the agents' workspaces; each sees its own state, the automaton state and the time.
 
     Parameters
     ----------
     problem : Problem
-        Of one agent.
     paths : ()
-    edges : d arrays (n + 1,) or (T + 1, n + 1)
-        Edges of cells along each axis, increasing; or those of each time.
-    vertex_inputs : (L, V, m) array
+    edges : tuple of d arrays (n + 1,) or (T + 1, n + 1)
+        For each agent the edges of cells along each axis, increasing; or those of each time.
+    vertex_inputs : tuple of (L, V, m) arrays
         Inputs at all vertices, the last axis running fastest.
-    laws : (T, Q) int array
+    laws : tuple of (T, Q) int arrays
         Which of them acts at each time, in each automaton state.
-    matrix : (d, d) array or None
-        The grid is one of ``matrix @ x``; None: of the states x.
+    matrices : tuple of (d, d) arrays or None
+        A grid is one of ``matrix @ x``; None: of the states x.
     """
 
     information = "own state, automaton state, time"
 
-    edges: tuple[FloatArray, ...]
-    vertex_inputs: FloatArray
-    laws: NDArray[np.int64]
-    matrix: FloatArray | None = None
+    edges: tuple[tuple[FloatArray, ...], ...]
+    vertex_inputs: tuple[FloatArray, ...]
+    laws: tuple[NDArray[np.int64], ...]
+    matrices: tuple[FloatArray | None, ...]
 
     def __repr__(self) -> str:
-        rows = [("cells", [axis.shape[-1] - 1 for axis in self.edges]), ("laws", len(self.vertex_inputs))]
+        cells = [[axis.shape[-1] - 1 for axis in edges] for edges in self.edges]
+        rows = [
+            ("cells", alike_text(map(str, cells))),
+            ("laws", alike_text(str(len(own)) for own in self.vertex_inputs)),
+        ]
         return tree_text(f"VertexController of {self.problem.name!r}", rows)
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
-        """Return the action of the agent: name -> (m,) float64; see ``PathController.act``."""
+        """Return the action of every agent observed: name -> (m,) float64; see ``PathController.act``."""
         seen = told_of_all(self.problem, observations, infos, self.problem.automaton.n_states)
+        numbers = {name: i for i, name in enumerate(self.problem.agent_names)}
         return {
-            name: self.inputs(0, np.asarray(state, dtype=float)[:, None], np.array([q]), time)[:, 0]
+            name: self.inputs(numbers[name], np.asarray(state, dtype=float)[:, None], np.array([q]), time)[:, 0]
             for name, (state, q, time) in seen.items()
         }
 
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return inputs (m, M) at states (d, M), automaton states (M,) and a time, within the input box."""
-        now = min(time, len(self.laws) - 1)
-        which = self.laws[now][np.asarray(q)]
-        places = states if self.matrix is None else self.matrix @ states
-        edges, own = [axis if axis.ndim == 1 else axis[now] for axis in self.edges], self.problem.agents[0]
+        laws, own, matrix = self.laws[agent], self.problem.agents[agent], self.matrices[agent]
+        now = min(time, len(laws) - 1)
+        which = laws[now][np.asarray(q)]
+        places = states if matrix is None else matrix @ states
+        edges = [axis if axis.ndim == 1 else axis[now] for axis in self.edges[agent]]
         if own.angles:  # the numbers in the window that stand for these points of a circle
             places = np.array(places, dtype=float)
             for k in np.flatnonzero(own.wrapped_axes):
                 middle = 0.5 * (edges[k][0] + edges[k][-1])
                 places[k] += TURN * np.round((middle - places[k]) / TURN)
-        result = interpolated(edges, self.vertex_inputs, places, which)
+        result = interpolated(edges, self.vertex_inputs[agent], places, which)
         return np.clip(result, own.input_low[:, None], own.input_high[:, None])
 
 

@@ -55,4 +55,5 @@ from .result import BROKEN_OFF, Synthesis
 from .starts_proof import Cut, OfStarts, StartsProof
 from .timed_proof import TimedProof, timed_certificate
 from .union_bound_proof import UnionBoundProof
-from .vertex_proof import VertexProof
+from .vertex_grid import VertexGrid
+from .vertex_proof import VertexProof, VertexTeamProof

@@ -23,12 +23,12 @@ from .result import Synthesis
 from .starts_proof import StartsProof
 from .timed_proof import TimedProof
 from .union_bound_proof import UnionBoundProof
-from .vertex_proof import VertexProof
+from .vertex_proof import VertexProof, VertexTeamProof
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, StartsProof, UnionBoundProof, TimedProof, ProductProof, VertexProof
+        GridProof, PathProof, StartsProof, UnionBoundProof, TimedProof, ProductProof, VertexProof, VertexTeamProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

@@ -1,127 +1,170 @@
-"""Proofs on grids whose vertices have inputs: one agent, few states, noise of any size."""
+"""Proofs on grids whose vertices have inputs: few states, noise of any size; of one agent, or of a team."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....envs.systems.backends import is_whole
 from ....envs.tasks.problem import Problem
-from ...relations.grids import FloatArray
 from ..controllers import VertexController
 from .archive import Pool, Stored
 from .path_proof import ONE_RUN, OTHER_STARTS, probability
 from .proof import Capability, FailureProof
+from .vertex_grid import VertexGrid
+
+UNSUPPORTED = MappingProxyType({
+    Capability.VALUES: ONE_RUN.replace("along a path", "on a grid of vertices"),
+    Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on a grid of vertices"),
+})  # fmt: skip
+"""What whoever asks for values, or for other starts, is told."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VertexProof(FailureProof):
-    """A bound by value iteration on a grid whose vertices have inputs (docs/theory/vertices.md).
+    """A bound by value iteration on the grid of one agent (docs/theory/vertices.md).
 
     Parameters
     ----------
-    edges : d arrays (n + 1,) or (T + 1, n + 1)
-        Edges of cells along each axis, which tile the workspace of the agent; or those of each time, inside of it.
-    inputs : (L, V, m) array
-        Inputs at vertices, the last axis running fastest; between them they are interpolated.
-    laws : (T, Q) int array
-        Which of them acts at each time, in each automaton state.
-    jumps : d bools
-        Along which axes values may jump from cell to cell; along others they are made continuous.
-    near : float
-        Deviations of the noise that are looked at; what is further away costs its probability.
-    window : (2, d) array, (T + 1, 2, d) array or None
-        Ends of the lattice on which second derivatives are bounded, where all noise is normal and of one size; those
-        of each time where edges are.
+    grid : VertexGrid
     failure : float
         Upper bound on the probability that the task is not satisfied.
-    matrix : (d, d) array or None
-        The grid is one of ``matrix @ x``, where noise that moves several states is independent (None: of x itself).
     """
 
-    edges: tuple[FloatArray, ...]
-    inputs: FloatArray
-    laws: NDArray[np.int64]
-    jumps: tuple[bool, ...]
-    near: float
-    window: FloatArray | None
+    grid: VertexGrid
     failure: float
-    matrix: FloatArray | None = None
 
     kind = "vertex-grid"
-    unsupported = MappingProxyType({
-        Capability.VALUES: ONE_RUN.replace("along a path", "on a grid of vertices"),
-        Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on a grid of vertices"),
-    })  # fmt: skip
+    unsupported = UNSUPPORTED
     bound = "vertex grid"
 
     @property
     def method(self) -> str:
         """How the bound was found, in words."""
-        cells = " x ".join(str(axis.shape[-1] - 1) for axis in self.edges)
-        moving = " that move with runs" if self.moves else ""
-        return f"value iteration on {cells} cells{moving}, inputs interpolated between vertices"
-
-    @property
-    def moves(self) -> bool:
-        """Whether the grid is another one at each time."""
-        return any(axis.ndim > 1 for axis in self.edges)
+        moving = " that move with runs" if self.grid.moves else ""
+        return f"value iteration on {self.grid.size_text} cells{moving}, inputs interpolated between vertices"
 
     def controller(self, problem: Problem) -> VertexController:
         """Return the controller the bound belongs to."""
-        return VertexController(problem, (), self.edges, self.inputs, self.laws, self.matrix)
+        return _controller(problem, (self.grid,))
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
-        return {
-            "failure": float(self.failure),
-            "edges": [pool.put(axis) for axis in self.edges],
-            "inputs": pool.put(self.inputs),
-            "laws": pool.put(self.laws),
-            "jumps": list(self.jumps),
-            "near": float(self.near),
-            **({} if self.window is None else {"window": pool.put(self.window)}),
-            **({} if self.matrix is None else {"matrix": pool.put(self.matrix)}),
-        }
+        return {"failure": float(self.failure), **self.grid.entries(pool)}
 
     @classmethod
     def read(cls, problem: Problem, stored: Stored) -> Self:
         """Return the proof in a file; raise ValueError if there is none."""
         if problem.n_agents != 1:
             raise ValueError("its problem has several agents, and a grid of vertices is of one")
-        agent, entries = problem.agents[0], stored.entry["edges"]
-        edges = tuple(stored.numbers(number) for number in entries)
-        times = problem.horizon + 1
-        fits = len(edges) == agent.n_states and all(
-            axis.ndim > 0 and axis.shape[:-1] in ((), (times,)) and axis.shape[-1] > 1
-            and np.all(np.isfinite(axis)) and np.all(np.diff(axis, axis=-1) > 0.0)
-            for axis in edges
-        )  # fmt: skip
-        moves = fits and any(axis.ndim > 1 for axis in edges)
-        inputs, laws = stored.numbers(stored.entry["inputs"]), stored.array(stored.entry["laws"])
-        shape = (math.prod(axis.shape[-1] for axis in edges) if fits else 0, agent.n_inputs)
-        if not fits or inputs.ndim != 3 or inputs.shape[1:] != shape or not np.all(np.isfinite(inputs)):
-            raise ValueError("its inputs do not fit its grid")
-        whole = is_whole(laws, signed=True) and laws.shape == (problem.horizon, problem.automaton.n_states)
-        if not whole or laws.min() < 0 or laws.max() >= len(inputs):
-            raise ValueError("its laws do not fit the horizon and the automaton")
-        jumps = tuple(stored.entry["jumps"])
-        if len(jumps) != agent.n_states or not all(isinstance(own, bool) for own in jumps):
-            raise ValueError("it does not say along which axes values may jump")
-        near = stored.entry["near"]
-        if not isinstance(near, float):
-            raise ValueError("it does not say how far it looks")
-        window = stored.numbers(stored.entry["window"]) if "window" in stored.entry else None
-        ends = (times, 2, agent.n_states) if moves else (2, agent.n_states)
-        if window is not None and (window.shape != ends or not np.all(np.isfinite(window))):
-            raise ValueError("its lattice has no ends along each axis")
-        matrix = stored.numbers(stored.entry["matrix"]) if "matrix" in stored.entry else None
-        if matrix is not None and (matrix.shape != (agent.n_states,) * 2 or not np.all(np.isfinite(matrix))):
-            raise ValueError("its coordinates are not as many as states")
-        failure = probability(stored.entry["failure"])
-        return cls(edges, inputs, laws.astype(np.int64), jumps, near, window, failure, matrix)
+        grid = VertexGrid.of_entries(problem, 0, stored.entry, stored)
+        return cls(grid, probability(stored.entry["failure"]))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VertexTeamProof(FailureProof):
+    """A bound by value iteration on a tree of products, one factor for the grid of each agent.
+
+    Parameters
+    ----------
+    grids : tuple of VertexGrid
+        One for each agent.
+    sets, start_sets : tuples of (K, n) bool arrays
+        Sets of kinds of cells of each agent that guards name, and those of the letter of time 0; a kind is a row of
+        labels that cells have at any time.
+    guards : tuple of (G,), (G,) and (G, I) int arrays
+        From which state to which one under which set of each agent.
+    start : tuple of (G_0,) and (G_0, I) int arrays
+        The same of the letter of time 0, out of the initial state.
+    tree : tuple of (n, 4), (m, 6) and (k, 3) int arrays
+        Vertices, unions, and what is kept, by time and automaton state (``checker.tree``).
+    failure : float
+        Upper bound on the probability that the task is not satisfied.
+    """
+
+    grids: tuple[VertexGrid, ...]
+    sets: tuple[np.ndarray, ...]
+    start_sets: tuple[np.ndarray, ...]
+    guards: tuple[np.ndarray, np.ndarray, np.ndarray]
+    start: tuple[np.ndarray, np.ndarray]
+    tree: tuple[np.ndarray, np.ndarray, np.ndarray]
+    failure: float
+
+    kind = "vertex-grids"
+    unsupported = UNSUPPORTED
+    bound = "vertex grid"
+
+    @property
+    def rank(self) -> int:  # type: ignore[override]
+        """Largest number of terms of one automaton state."""
+        each = np.unique(self.tree[2][:, :2], axis=0, return_counts=True)[1]
+        return int(each.max(initial=1))
+
+    @property
+    def method(self) -> str:
+        """How the bound was found, in words."""
+        sizes = " and ".join(dict.fromkeys(grid.size_text for grid in self.grids))
+        moving = " that move with runs" if any(grid.moves for grid in self.grids) else ""
+        return f"value iteration on {sizes} cells of each agent{moving}, inputs interpolated between vertices"
+
+    def controller(self, problem: Problem) -> VertexController:
+        """Return the controllers the bound belongs to."""
+        return _controller(problem, self.grids)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "failure": float(self.failure),
+            "agents": [
+                grid.entries(pool) | {"sets": pool.put(sets), "start_sets": pool.put(first)}
+                for grid, sets, first in zip(self.grids, self.sets, self.start_sets, strict=True)
+            ],
+            **{name: [pool.put(own) for own in getattr(self, name)] for name in ("guards", "start", "tree")},
+        }
+
+    @classmethod
+    def read(cls, problem: Problem, stored: Stored) -> Self:
+        """Return the proof in a file; raise ValueError if there is none."""
+        entry, n, Q = stored.entry, problem.n_agents, problem.automaton.n_states
+        if len(entry["agents"]) != n:
+            raise ValueError("it has another number of grids than there are agents")
+        grids = tuple(VertexGrid.of_entries(problem, i, own, stored) for i, own in enumerate(entry["agents"]))
+        tables = list[list[np.ndarray]]()
+        for name in ("sets", "start_sets"):
+            tables.append([stored.array(own[name]) for own in entry["agents"]])
+            if any(sets.dtype != np.bool_ or sets.ndim != 2 for sets in tables[-1]):
+                raise ValueError("its sets are none of kinds of cells")
+        counts = [[len(own) for own in table] for table in tables]
+        source, target, sets = (stored.array(number) for number in entry["guards"])
+        guards = _whole(source, [Q])[:, 0], _whole(target, [Q])[:, 0], _whole(sets, counts[0])
+        target, sets = (stored.array(number) for number in entry["start"])
+        start = _whole(target, [Q])[:, 0], _whole(sets, counts[1])
+        if any(len({*map(len, own)}) > 1 for own in (guards, start)):
+            raise ValueError("its guards are inconsistent")
+        T, most, G = problem.horizon, 2**31, len(guards[0])
+        vertices, unions, kept = (stored.array(number) for number in entry["tree"])
+        tree = (
+            _whole(vertices, [T, Q, G, most]),
+            _whole(unions, [T, Q, most, most, n, n + 1], least=[0, 0, 0, 0, 0, -n]),
+            _whole(kept, [T, Q, most]),
+        )
+        failure = probability(entry["failure"])
+        return cls(grids, tuple(tables[0]), tuple(tables[1]), guards, start, tree, failure)
+
+
+def _whole(table: np.ndarray, below: list[int], least: list[int] | None = None) -> np.ndarray:
+    """Return a table (n, k) of whole numbers, each below that of its column; raise ValueError if it is none."""
+    table = table[:, None] if table.ndim == 1 else table
+    if not is_whole(table, signed=True) or table.ndim != 2 or table.shape[1] != len(below):
+        raise ValueError("a table of its tree has other columns, or numbers that are not whole")
+    if np.any(table < np.array(least or [0])) or np.any(table >= np.array(below)):
+        raise ValueError("a table of its tree holds a number that is out of range")
+    return table.astype(np.int64)
+
+
+def _controller(problem: Problem, grids: tuple[VertexGrid, ...]) -> VertexController:
+    columns = zip(*((own.edges, own.inputs, own.laws, own.matrix) for own in grids), strict=True)
+    return VertexController(problem, (), *columns)

@@ -45,19 +45,18 @@ from ...certificates.proofs import (
     TimedProof,
     UnionBoundProof,
     VertexProof,
+    VertexTeamProof,
     alarm_of,
     alike_members,
-    canonical_problem,
     certificate_from,
     delta_of,
     verdict_of,
     wrong_angles,
 )
 from ...certificates.value_functions import UNIT, Terms
-from ...checker import Refused, Unreadable, Verdict, bound_of, read_problem
+from ...checker import Verdict, bound_of
 from ...relations.grids import FloatArray, lattice_axes
 from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions
-from ..vertex_grids import failure_of
 from .complement_task import other_controllers, wrong_complement
 from .forward_occupancy import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
@@ -68,6 +67,7 @@ from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .timed_check import wrong_in_time
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_bound import MOST, attained, inexact
+from .vertex_check import check_vertex_team, check_vertices
 
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
@@ -184,26 +184,6 @@ def _check_path(certificate: AlongPath | OfStarts, problem: Problem) -> CheckRep
             failures.append(f"{claimed}, but what was recomputed is {worst:.6g}")
     recomputed = float("nan") if failures else bound_of(failure)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), alarm=told)
-
-
-def _check_vertices(certificate: Certificate[VertexProof], problem: Problem) -> CheckReport:
-    """Verify a certificate on a grid of vertices: backup by backup, for the problem in the checker's form."""
-    proof, failures, failure = certificate.proof, list[str](), 1.0
-    if certificate.fingerprint != problem.fingerprint:
-        failures.append("it was made for another problem (the fingerprints differ)")
-    if not failures:
-        try:
-            with np.errstate(all="ignore"):
-                checked = read_problem({"problem": canonical_problem(problem)})
-                held = proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near
-                failure = failure_of(checked, *held, problem.agents[0].laws, proof.window, proof.matrix)
-        except (NotCanonicalError, Refused, Unreadable) as reason:
-            failures.append(str(reason))
-    if not failures and not failure <= proof.failure:
-        claimed = f"it says that it fails with probability {proof.failure:.6g} at most"
-        failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
-    recomputed = float("nan") if failures else bound_of(failure)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
 def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
@@ -405,7 +385,8 @@ def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) 
 CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     GridProof: _check_one,
     PathProof: _check_path,
-    VertexProof: _check_vertices,
+    VertexProof: check_vertices,
+    VertexTeamProof: check_vertex_team,
     StartsProof: _check_path,
     UnionBoundProof: _check_pairs,
     TimedProof: _check_timed,

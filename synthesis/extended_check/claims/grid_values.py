@@ -21,13 +21,14 @@ class VertexValues:
     def __init__(self, certificate: Certificate[VertexProof]) -> None:
         proof, problem = certificate.proof, certificate.problem
         checked = independent(read_problem({"problem": canonical_problem(problem)}))
-        own = proof.edges, proof.jumps, proof.near, problem.agents[0].laws, proof.window
-        self.steps, self.matrix = Backups(checked, *own), proof.matrix
+        grid = proof.grid
+        own = grid.edges, grid.jumps, grid.near, problem.agents[0].laws, grid.window
+        self.steps, self.matrix = Backups(checked, *own), grid.matrix
         with np.errstate(all="ignore"):
             values, given_up = self.steps.at_end()
             self.values = [values]
             for t in range(problem.horizon - 1, -1, -1):
-                values, given_up = self.steps.backup(values, given_up, proof.inputs[proof.laws[t]], t)
+                values, given_up = self.steps.backup(values, given_up, grid.inputs[grid.laws[t]], t)
                 self.values.append(values)
 
     def at(self, states: FloatArray, q: NDArray[np.int64], left: NDArray[np.int64]) -> FloatArray:

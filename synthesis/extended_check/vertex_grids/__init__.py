@@ -7,6 +7,7 @@ from .coordinates import Independent, independent
 from .images import Images, hats_at
 from .lattices import Lattice, LatticeImages
 from .noise_bounds import Noise, Normal
+from .teams import Kinds, VertexKernel, alone, kinds_of, team_failure, team_value
 from .turns import NARROWEST, ROOM, numbers_in
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "Backups",
     "Bands",
     "Images",
+    "Kinds",
+    "VertexKernel",
     "Independent",
     "Lattice",
     "LatticeImages",
@@ -28,6 +31,10 @@ __all__ = [
     "independent",
     "names_time",
     "numbers_in",
+    "alone",
+    "kinds_of",
+    "team_failure",
+    "team_value",
     "vertices_of",
     "Noise",
     "Normal",

@@ -191,7 +191,7 @@ class Backups:
         if laws is None and any(own.tail != NORMAL or own.mean or own.off or own.lost for own in agent.envelopes):
             raise Refused(f"the noise of `{agent.name}` is not normal, and nothing says which law it has")
         for row in agent.noise:
-            source = int(np.argmax(np.abs(row)))
+            source = int(np.argmax(np.abs(row))) if row.any() else -1
             deviation = agent.envelopes[source].deviation if row.any() else 0.0
             noise = noise_of(None if laws is None else laws[source], deviation) if deviation else None
             result.append(noise)
@@ -317,11 +317,12 @@ class Backups:
             self.letters[t] = [(own, doubled(which.reshape(self.shape) == k) & inside) for k, own in enumerate(known)]
         result = np.zeros(tuple(2 * n for n in self.shape))
         for letter, where in self.letters[t]:
-            each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, letter)]
+            each = [self.on_cells(values[target], given_up[target]) for target in automaton.targets(q, letter)]
             result = np.where(where, np.min(each, axis=0), result)
         return result
 
-    def _on_cells(self, values: Array, given_up: Truth) -> Array:
+    def on_cells(self, values: Array, given_up: Truth) -> Array:
+        """Return numbers at both ends of all intervals, from those at vertices and the cells that are 0."""
         for k in range(values.ndim):
             values = np.repeat(values, 2, axis=k)
             values = np.take(values, range(1, values.shape[k] - 1), axis=k)

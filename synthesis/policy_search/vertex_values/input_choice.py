@@ -90,7 +90,7 @@ class Choice:
         sure = runs is not None and runs.failure < SURE
         self.crossed = 0.0 if is_coarse else CROSSED_SURE if sure else CROSSED
         self.m, self.now = len(agent.inputs), -1
-        self._enter(steps.problem.horizon)
+        self.enter(steps.problem.horizon)
         self.acting = vertices_of(steps.nodes).T if agent.disturbances else None
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
@@ -104,7 +104,7 @@ class Choice:
         self.tables: Tables = {}
         self.levels = _levels([n + 1 for n in steps.shape])
 
-    def _enter(self, t: int) -> None:
+    def enter(self, t: int) -> None:
         """Look at the vertices (d, V) of a time, and at widths of the cells beside them."""
         if self.now >= 0 and not self.steps.moves:
             return
@@ -116,7 +116,7 @@ class Choice:
 
     def of(self, values: FloatArray, t: int, later: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return which law acts in each automaton state (Q,), from those a step later, and values (Q, n_1 + 1, ..)."""
-        self._enter(t)
+        self.enter(t)
         automaton = self.steps.problem.automaton
         which, result = later.copy(), np.zeros_like(values)
         alike, nothing = dict[bytes, list[int]](), np.zeros((len(values), *self.steps.shape), bool)
@@ -129,13 +129,13 @@ class Choice:
         shape = tuple(2 * n for n in self.steps.shape)
         for numbers, states in alike.items():
             W = np.frombuffer(numbers).reshape(shape)
-            law, means = self._adjusted(W, t, later[states], self._passing(t, states))
+            law, means = self.adjusted(W, t, later[states], self.passing(t, states))
             if self.acting is not None:
                 self.steps.worst |= dict.fromkeys(((t, q) for q in states), self._worst(law))
             which[states], result[states] = law, means.reshape(values.shape[1:])
         return which, result
 
-    def _passing(self, t: int, states: Sequence[int]) -> FloatArray:
+    def passing(self, t: int, states: Sequence[int]) -> FloatArray:
         """Return the share of runs that pass by each vertex (V,) at a time, in some automaton states."""
         result = np.zeros(self.at.shape[1])
         if self.runs is not None:
@@ -143,7 +143,7 @@ class Choice:
             np.add.at(result, nearest_vertices(self.steps.edges_at(t), here), 1.0 / RUNS)
         return result
 
-    def _adjusted(self, W: FloatArray, t: int, later: NDArray[np.int64], passing: FloatArray) -> tuple[int, FloatArray]:
+    def adjusted(self, W: FloatArray, t: int, later: NDArray[np.int64], passing: FloatArray) -> tuple[int, FloatArray]:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         every = reading.means(W).reshape(-1, *[self.count] * self.m, self.at.shape[1])

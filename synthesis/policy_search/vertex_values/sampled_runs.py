@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.simulation import Dynamics, batch_simulator
+from ....envs.simulation import Dynamics, batch_simulator, joint
 from ....envs.systems.agents import TURN
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
@@ -91,26 +91,30 @@ class Runs:
 
     @classmethod
     def under(cls, problem: Problem, controller: Any) -> Runs:
-        """Return runs under a controller of one agent, with the failure that is seen in them.
+        """Return runs under a controller, of all agents together, with the failure that is seen in them.
 
         Disturbances, if there are any, swing from one end to the other.
         """
-        behaviour = "periodic" if problem.agents[0].disturbances else "zero"
+        behaviour = "periodic" if any(agent.disturbances for agent in problem.agents) else "zero"
         dynamics, rng = Dynamics.of(problem, behaviour), np.random.default_rng(20261128)
         policy, worlds = controller.batch(dynamics), batch_simulator.initial(dynamics, rng, RUNS)
         memory, states, each = policy.begin(worlds, np.random.default_rng(20261129)), list[Any](), list[Any]()
         for t in range(problem.horizon + 1):
-            states.append(worlds.states[0][:, 0])
+            states.append(joint(dynamics, worlds).T)
             each.append(worlds.q)
             if t < problem.horizon:
                 inputs, memory = policy.act(worlds, memory)
                 noise = batch_simulator.noise(dynamics, rng, RUNS)
                 worlds = batch_simulator.transition(dynamics, worlds, inputs, noise)
         runs = np.stack(states)
-        turning = problem.agents[0].wrapped_axes
+        turning = np.concatenate([agent.wrapped_axes for agent in problem.agents])
         # angles as numbers that go on where a turn ends
         runs[:, turning] = np.unwrap(runs[:, turning], axis=0)
         return cls(runs, np.stack(each), 1.0 - float(batch_simulator.satisfied(dynamics, worlds).mean()))
+
+    def of_agent(self, columns: slice) -> Runs:
+        """Return the same runs of one agent, whose states are these of the joint states."""
+        return replace(self, states=self.states[:, columns])
 
     def seen_by(self, matrix: FloatArray | None) -> Runs:
         """Return the same runs in other coordinates (None: those that they have)."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ....envs.systems.distributions import Law
 from ....envs.tasks.problem import Problem
-from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
+from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexGrid, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, read_problem
 from ...extended_check.vertex_grids import (
     FARTHEST,
@@ -121,7 +121,7 @@ def refuse_vertex_grid(problem: Problem) -> None:
         checked = _checked(problem)
         steps = Backups(
             checked,
-            _whole(checked),
+            whole_of(checked),
             (True,) * agent.n_states,
             NEAR,
             agent.laws,
@@ -131,7 +131,7 @@ def refuse_vertex_grid(problem: Problem) -> None:
         raise RelationRefused(str(reason)) from reason
 
 
-def _whole(problem: CheckedProblem) -> tuple[FloatArray, ...]:
+def whole_of(problem: CheckedProblem) -> tuple[FloatArray, ...]:
     """Return edges of one cell at each time, nearly all of the workspace where there are angles."""
     agent, edges = problem.agents[0], list[FloatArray]()
     for state, (low, high) in zip(agent.states, agent.state_box.T, strict=True):
@@ -195,27 +195,28 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
         alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
         # Where the size of noise varies, or its law is another one, what a path keeps to says little.
         if runs is not None and runs.failure < POOR_GUESS and noise_laws is None and not checked.agents[0].scale:
-            alive = _within(alive, runs.window(checked, spreads))
-            cells = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
-            full, vertices = alive, float(np.clip(cells, vertices, most))
+            full = within(alive, runs.window(checked, spreads))
+            cells = np.prod(1.0 + (full[1] - full[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
+            vertices = float(np.clip(cells, vertices, most))
     best, levels, finer, aim = None, dict[str, float](), np.ones(len(spreads)), AIMS[0]
     try:
         if runs is None or narrow is None:
             refuse_small_noise(spreads, full)
-            runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
-            vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
+            # other runs may go further than those of a guess
+            runs, spent = _coarse(checked, noise_laws, vertices, within(alive, full), alive, work)
+            vertices = min(most, _first(vertices, within(alive, runs.window(checked, spreads)), spreads, spent, work))
         else:
             vertices, window = float(np.clip(narrow, FIRST[states], most)), runs.windows(checked, spreads)
         while True:
             if narrow is None:
-                window = _within(alive, runs.window(checked, spreads))
+                window = within(alive, runs.window(checked, spreads))
                 edges = grid_of(checked, spreads, round(vertices), window, finer)
             else:
-                window = within_a_turn(checked, _hull(window, runs.windows(checked, spreads)))
+                window = within_a_turn(checked, hull(window, runs.windows(checked, spreads)))
                 edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
-            steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
-            if best is not None and best.window is not None and steps.window is None and steps.agent.disturbances:
+            steps.near, steps.window = near_of(steps, max(runs.failure, aim)), lattice_around(steps, window)
+            if best is not None and best.grid.window is not None and steps.window is None and steps.agent.disturbances:
                 break  # pieces of disturbances stay as wide, and without a lattice more is charged on them
             inputs, laws, failure, hoped = iterated(steps, runs, aim)
             levels[" x ".join(str(n) for n in steps.shape)] = 1.0 - failure
@@ -228,7 +229,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
                 claim = min(1.0, failure * CLAIMED)
-                best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, steps.window, claim, matrix)
+                grid = VertexGrid(edges, inputs, laws, steps.jumps, steps.near, steps.window, matrix)
+                best = VertexProof(grid, claim)
                 work.tell(failure)
             least = failure - min(LEFT[0] * failure, LEFT[1])
             is_seen = failure > SEEN / (MANY * RUNS) and runs.failure > least
@@ -276,7 +278,7 @@ def _moving_cells(
         steps = Backups(problem, edges, (True,) * d, NEAR, noise_laws)
     except Refused:
         return None
-    steps.window = _lattice_around(steps, windows)
+    steps.window = lattice_around(steps, windows)
     if d > 2:
         if steps.window is None:
             return None
@@ -287,10 +289,15 @@ def _moving_cells(
 
 
 def _coarse(
-    problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
+    problem: CheckedProblem,
+    noise_laws: Sequence[Law] | None,
+    vertices: float,
+    window: FloatArray,
+    alive: FloatArray,
+    work: CountedWork,
 ) -> tuple[Runs, float]:
-    """Return runs under coarse values, which nothing is charged for, and the work of a grid."""
-    spreads, window, runs, spent = spreads_of(problem), alive, None, 0.0
+    """Return runs under coarse values, which nothing is charged for, and the work of a grid; a first ``window``."""
+    spreads, runs, spent = spreads_of(problem), None, 0.0
     for more in COARSE:
         edges = grid_of(problem, spreads, round(vertices * more), window)
         steps = Counted(problem, edges, jumps_of(problem, edges), NEAR, noise_laws).within(work)
@@ -299,7 +306,7 @@ def _coarse(
             raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
         runs, spent = Runs.of(steps, inputs, laws, failure), steps.spent
         work.hoped(1.0 - runs.failure)
-        window = _within(alive, runs.window(problem, spreads))
+        window = within(alive, runs.window(problem, spreads))
     assert runs is not None
     return runs, spent
 
@@ -317,7 +324,7 @@ def _first(vertices: float, window: FloatArray, spreads: FloatArray, spent: floa
     return max(vertices, min(sure, coarse * (left / (CHARGED * spent)) ** (1.0 / GROWS)))
 
 
-def _near(steps: Backups, failure: float) -> float:
+def near_of(steps: Backups, failure: float) -> float:
     """Return how many deviations of the noise are looked at: what is left out is little beside a failure."""
     problem = steps.problem
     sides = 4.0 * len(problem.agents[0].states) * problem.horizon
@@ -325,7 +332,7 @@ def _near(steps: Backups, failure: float) -> float:
     return float(np.clip(max(reach, default=NEAR), LEAST_NEAR, FARTHEST))
 
 
-def _lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
+def lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
     """Return ends (.., 2, d) of a lattice around a window of states, of each time too; None where there is none."""
     box = walls_of(steps.problem)
     try:
@@ -375,11 +382,12 @@ def iterated(
     return np.stack(choice.laws), laws, proved, steps.failure(values, nowhere)
 
 
-def _within(outer: FloatArray, inner: FloatArray) -> FloatArray:
+def within(outer: FloatArray, inner: FloatArray) -> FloatArray:
+    """Return what two windows (2, d) have in common."""
     return np.stack([np.maximum(outer[0], inner[0]), np.minimum(outer[1], inner[1])])
 
 
-def _hull(windows: FloatArray, others: FloatArray) -> FloatArray:
+def hull(windows: FloatArray, others: FloatArray) -> FloatArray:
     """Return the least windows (T + 1, 2, d) around both."""
     return np.stack([np.minimum(windows[:, 0], others[:, 0]), np.maximum(windows[:, 1], others[:, 1])], axis=1)
 
