@@ -9,8 +9,8 @@ the value at the start is at most the probability that the team satisfies the ta
 Given the joint state, and disturbances that may depend on all of it, next states of different agents are independent,
 so the mean of a product is the product of the means. Each is at least what the backup of its factor leaves, which is at
 least 0. Sums, guards and unions are those of the tree: ends of intervals take the place of cells, since least numbers
-at corners, interpolated, are below the least function, and what is left of a factor is what is left at its corners. Grids
-may be others at each time, outside of which factors are 0. QED
+at corners, interpolated, are below the least function, and what is left of a factor is what is left at its corners.
+Grids may be others at each time, outside of which factors are 0. QED
 
 Guards name sets of *kinds*: rows of labels that cells have at any time, in the order of numbers.
 

@@ -26,6 +26,11 @@ MORE_LAWS = 1.7
 """Times as many laws as there are on the grid before: where each of them leads has to be made."""
 
 
+ADJUSTED, MOST_ADJUSTED = 0.5, (0.5, 2.0)
+"""Power of what is charged along an axis, beside the others, by which its share of cells changes from one grid to the
+next, and by how much at most: what is charged falls with the square of the number of cells."""
+
+
 class BrokenOff(Exception):
     """Seconds are over in the middle of a grid."""
 
@@ -61,6 +66,12 @@ class Counted(Backups):
     def _power(self) -> float:
         """The power with which work of images grows: each vertex and cell sees what is near along each axis."""
         return 1.0 + 1.0 / len(self.edges)
+
+    @property
+    def wanted(self) -> FloatArray:
+        """How many times as many cells each axis (d,) should have: what is charged falls with the square of them."""
+        share = (self.bent / np.exp(np.log(self.bent).mean())) ** ADJUSTED
+        return np.clip(np.where(np.isfinite(share), share, 1.0), *MOST_ADJUSTED)
 
     def count(self, work: float, power: float = 1.0) -> None:
         """Count work, which grows with a power of the vertices; raise BrokenOff where what was found has to do."""

@@ -33,7 +33,7 @@ from .sampled_runs import Runs
 SAMPLES, FEW = 300, 30
 """Runs in an automaton state that weights are means over, at most; and from how many on, instead of over all runs."""
 
-RANK, LITTLE = {1: 24, 2: 12}, 0.05
+RANK, LITTLE = {1: 48, 2: 12}, 0.05
 """Terms of an automaton state that are kept at most, by the most states of an agent; and share of the failure hoped
 for, or aimed at, that dropping others may cost in all steps."""
 
@@ -143,10 +143,18 @@ def _classes(labels: NDArray[np.int8]) -> NDArray[np.bool_]:
 
 
 class TeamIteration:
-    """Sweeps of value iteration on the grids of a team; laws that were found are kept for the next sweep."""
+    """Sweeps of value iteration on the grids of a team; laws that were found are kept for the next sweep.
+
+    Without runs others count as being anywhere, or, ``is_hopeful``, where it is best.
+    """
 
     def __init__(
-        self, grids: TeamGrids, runs: Runs | None, aim: float, is_coarse: bool = False, is_hopeful: bool = False
+        self,
+        grids: TeamGrids,
+        runs: Runs | None,
+        aim: float,
+        is_coarse: bool = False,
+        is_hopeful: bool = False,
     ) -> None:
         self.grids, self.hoped, self.is_hopeful = grids, 0.0, is_hopeful
         self.rank = RANK[max(len(own.edges) for own in grids.steps)]
@@ -247,11 +255,10 @@ class _Stage:
         here = _Arriving(self.steps, self.runs, self.t, self.whole.is_hopeful)
         met = [here.means(i, table, self.q, self.t)[self.rows[:, i]] for i, table in enumerate(self.backed)]
         worth = np.prod(met, axis=0).mean(axis=1)
-        order = np.argsort(-worth, kind="stable")
+        order = np.argsort(worth, kind="stable")
         # what is dropped, the least first, is little in all
-        left = worth.sum() - np.cumsum(worth[order])
-        enough = int(np.argmax(left <= self.whole.little * worth.sum()))
-        return np.sort(order[: min(self.whole.rank, enough + 1)])
+        dropped = int(np.sum(np.cumsum(worth[order]) <= self.whole.little * worth.sum()))
+        return np.sort(order[max(min(dropped, len(order) - 1), len(order) - self.whole.rank) :])
 
     def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
         """Return the factors of each agent and the rows of terms that are kept."""

@@ -25,7 +25,6 @@ from .input_choice import INPUTS
 from .sampled_runs import MANY, RUNS, Runs
 from .team_iteration import TeamGrids, TeamIteration
 from .value_iteration import (
-    ADJUSTED,
     AIMS,
     CLAIMED,
     ENOUGH,
@@ -35,7 +34,6 @@ from .value_iteration import (
     LEFT,
     LOWERED,
     MORE,
-    MOST_ADJUSTED,
     MOST_VERTICES,
     MOVING,
     POOR_GUESS,
@@ -110,7 +108,8 @@ class _TeamSearch:
         self.problem, self.checked, self.work = problem, checked, work
         self.alone = [alone(checked, i) for i in range(problem.n_agents)]
         self.spreads = [spreads_of(own) for own in self.alone]
-        self.windows = [own.agents[0].state_box for own in self.alone]
+        self.alive = [own.agents[0].state_box for own in self.alone]
+        self.windows = self.alive
         self.finer: list[FloatArray] = [np.ones(len(own)) for own in self.spreads]
         self.vertices = [float(FIRST[len(own)]) for own in self.spreads]
         self.most = [MOST_VERTICES[len(own)] for own in self.spreads]
@@ -131,7 +130,8 @@ class _TeamSearch:
 
     def coarse(self, runs: Runs | None) -> Runs:
         """Return runs under laws of coarse values: agents answer to runs of one another, one after the other."""
-        self.windows, everyone = self.grids().alive(), range(self.problem.n_agents)
+        self.alive, everyone = self.grids().alive(), range(self.problem.n_agents)
+        self.windows = self.alive
         began = [self._begun(runs, is_hopeful=False)]
         if runs is None and began[0][2].failure > UNCOUPLED:
             began.append(self._begun(None, is_hopeful=True))
@@ -167,12 +167,7 @@ class _TeamSearch:
             runs = self.coarse(runs)
             while True:
                 self._look(runs)
-                grids = self.grids()
-                for own, window in zip(grids.steps, self.windows, strict=True):
-                    own.near, own.window = near_of(own, max(runs.failure, aim)), lattice_around(own, window)
-                iteration = TeamIteration(grids, runs, aim)
-                iteration.sweep(runs, range(self.problem.n_agents))
-                failure = grids.proved(iteration.choices)
+                grids, iteration, failure = self._level(runs, aim)
                 levels[" and ".join(" x ".join(map(str, own.shape)) for own in grids.steps)] = 1.0 - failure
                 runs = runs.or_better(self.runs_of(grids, iteration))
                 aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
@@ -200,8 +195,18 @@ class _TeamSearch:
             )
         return best, levels
 
+    def _level(self, runs: Runs, aim: float) -> tuple[TeamGrids, TeamIteration, float]:
+        """Return grids with laws for all agents, and an upper bound on the failure."""
+        grids = self.grids()
+        for own, window in zip(grids.steps, self.windows, strict=True):
+            own.near, own.window = near_of(own, max(runs.failure, aim)), lattice_around(own, window)
+        iteration = TeamIteration(grids, runs, aim)
+        iteration.sweep(runs, range(self.problem.n_agents))
+        return grids, iteration, grids.proved(iteration.choices)
+
     def _look(self, runs: Runs) -> None:
-        """Set the windows in which cells are narrow: where runs pass."""
+        """Set the windows in which cells are narrow: where runs pass, which may be elsewhere than before."""
+        self.windows = [*self.windows]
         for i, (own, columns) in enumerate(zip(self.alone, self.problem.columns, strict=True)):
             mine, spreads, before = runs.of_agent(columns), self.spreads[i], self.windows[i]
             if before.ndim > 2:
@@ -209,7 +214,7 @@ class _TeamSearch:
             elif (moving := self._moving(own, spreads, mine)) is not None:
                 self.windows[i] = moving
             else:
-                self.windows[i] = within(before, mine.window(own, spreads))
+                self.windows[i] = within(self.alive[i], mine.window(own, spreads))
 
     def _moving(self, own: CheckedProblem, spreads: FloatArray, runs: Runs) -> FloatArray | None:
         """Return windows of each time, where a grid that moves along them is much smaller than one at rest."""
@@ -234,5 +239,4 @@ class _TeamSearch:
         """Take more vertices, and more of them along axes along which more is charged."""
         for i, own in enumerate(grids.steps):
             self.vertices[i] *= more
-            share = (own.bent / np.exp(np.log(own.bent).mean())) ** ADJUSTED
-            self.finer[i] = self.finer[i] * np.clip(share, *MOST_ADJUSTED)
+            self.finer[i] = self.finer[i] * own.wanted

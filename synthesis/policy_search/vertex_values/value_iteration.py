@@ -59,10 +59,6 @@ GROWS, MORE = 1.25, 1.1
 """Power of the number of vertices with which work grows, before it is known of what kind it is; how much more work the
 next grid is than what the kinds of the one before say."""
 
-ADJUSTED, MOST_ADJUSTED = 0.5, (0.5, 2.0)
-"""Power of what is charged along an axis, beside the others, by which its share of cells changes from one grid to the
-next, and by how much at most: what is charged falls with the square of the number of cells."""
-
 BEYOND = 3.0
 """Deviations by which a lattice goes beyond the window where runs pass."""
 
@@ -223,7 +219,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             if narrow is not None and 1.0 - hoped < HOPELESS * work.largest and failure >= 1.0 - work.largest:
                 break
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
-            finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
+            finer *= steps.wanted
             runs = runs.or_better(Runs.of(steps, inputs, laws, hoped))
             aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
