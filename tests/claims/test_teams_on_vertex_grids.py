@@ -174,14 +174,34 @@ def test_disturbances_are_the_worst(certificate: cg.Certificate) -> None:
         assert found.lower_bound <= rollouts.successes / 20_000 + 0.02  # six deviations of the estimate
 
 
-def test_regions_that_move_are_known() -> None:
-    moving = pair()
-    places = dict(moving.propositions) | {"goal": cg.Proposition("a", ["0.4 - 0.05*t"], ["1.6 - 0.05*t"])}
-    agents = [cg.Agent(**line("a", STD[0])), cg.Agent(**line("b", STD[1], initial_state=[1.2]))]
+def test_regions_and_dynamics_may_name_the_time() -> None:
+    """A goal that runs away, and an engine that fades: what was true at the start would promise more."""
+    agents = [
+        cg.Agent(**line("a", STD[0], dynamics=["x + u*(1 - 0.2*t)"])),
+        cg.Agent(**line("b", STD[1], initial_state=[1.2])),
+    ]
+    places = dict(pair().propositions) | {"goal": cg.Proposition("a", ["0.4 + 0.3*t"], ["1.6 + 0.3*t"])}
     task = "!(rock & edge) U (goal & home)"
     problem = cg.Problem(name="pair", agents=agents, propositions=places, specification=task, horizon=HORIZON)
     found = cg.synthesize(problem, relation="vertices", effort=1.5).certificate
-    assert cg.check(found) and 0.3 < found.lower_bound <= most_by_rollouts(found, 5)
+    most = most_by_rollouts(found, 5)
+    assert cg.check(found) and most - 0.1 < found.lower_bound <= most < 0.6
+
+
+def test_what_agents_alone_are_refused_for() -> None:
+    problem = team_refinement.refuse_vertex_team(pair())
+    assert [region.name for region in teams.alone(problem, 1).regions] == ["home", "edge"]
+    with pytest.raises(Refused, match="pairs of agents"):
+        teams.alone(replace(problem, pairs=problem.regions[:1]), 0)
+
+
+def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate) -> None:
+    proof: Any = certificate.proof
+    problem = team_refinement.refuse_vertex_team(certificate.problem)
+    always = replace(problem.automaton, accepting=(True,) * len(problem.automaton.accepting))
+    guards, sets = (proof.guards, proof.start), (proof.sets, proof.start_sets)
+    with pytest.raises(Refused, match="not that of the formula"):
+        teams.team_failure(replace(problem, automaton=always), proof.grids, sets, guards, proof.tree, [None, None])
 
 
 def test_a_refusal_of_the_check_reaches_who_asks() -> None:
