@@ -123,7 +123,7 @@ def _first_failures(ends: Array, forms: Forms, before: Array, earlier: Forms) ->
     # Earlier ends in deviations from above, correlations from below, with either sign; of ends below 0 nothing is said.
     ends, before = (np.where(some >= 0.0, some, np.nan) for some in (ends, before))
     least = np.maximum(2.0 * np.abs(earlier.moved) - earlier.size, 0.0)
-    least = np.sqrt(np.einsum("jtw,jtw->j", least, least) * (1.0 - 4.0 * U * (8.0 + least[0].size)))
+    least = np.sqrt(np.sum(least * least, axis=(1, 2)) * (1.0 - 4.0 * U * (8.0 + least[0].size)))
     own, found = np.sqrt(forms.variance)[:, None], []
     with np.errstate(all="ignore"):
         rho = (np.abs(covariance) - off) / (own * np.sqrt(earlier.variance)) * (1.0 - 16.0 * U)

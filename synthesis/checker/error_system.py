@@ -93,7 +93,7 @@ class ErrorSystem:
         moved, off = self._moved(y[1:], most[1:])
         size = np.abs(moved) + off
         # What each step adds to the variance; the largest one matters for long tails.
-        each = np.einsum("sjw,sjw->sj", size, size)
+        each = np.sum(size * size, axis=2)
         more = 1.0 + 4.0 * U * (len(y) * c.shape[1] + 64.0) + 4.0 * U * t * moved.shape[2]
         sources: Truth = np.any(size > 0.0, axis=0)
         variances = each.sum(axis=0) * more, each.max(axis=0) * more
@@ -142,7 +142,7 @@ def covariance_of(first: Forms, second: Forms) -> tuple[Array, Array]:
     """Return covariances (J, K) of forms, the noise of whose common steps is known, and what they are off by."""
     t = min(first.moved.shape[1], second.moved.shape[1])
     pairs = [(getattr(first, key)[:, :t], getattr(second, key)[:, :t]) for key in ("moved", "size")]
-    found, inner, outer = (np.einsum("isw,jsw->ij", *pair) for pair in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
+    found, inner, outer = (np.tensordot(*own, ((1, 2), (1, 2))) for own in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
     return found, (outer - inner) + (t * first.moved.shape[2] + 16.0) * 4.0 * U * outer + 1e-290
 
 

@@ -53,6 +53,9 @@ class Cells:
     policy: np.ndarray
     start: np.ndarray
 
+    def sets_at(self, t: int) -> np.ndarray:
+        return self.sets
+
     def policy_at(self, t: int, q: int) -> np.ndarray:
         return np.asarray(self.policy[min(t, len(self.policy) - 1), q])
 

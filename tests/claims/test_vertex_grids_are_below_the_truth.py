@@ -759,3 +759,11 @@ def test_runs_may_go_beyond_those_of_a_guess(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sampled_runs.Runs, "under", narrow)
     led = value_iteration.vertex_grid_certificate(problem, CountedWork(3.0), controller).certificate.lower_bound
     assert free > 0.7 and led > free - 0.05
+
+
+def test_sums_of_nothing_are_nothing() -> None:
+    """``einsum`` has been seen to leave what stood in memory in sums over no features, of any sign."""
+    table, none = np.full((874, 39), np.nan, dtype=np.float32), np.array([], dtype=int)
+    for _ in range(20):
+        sums = features._rows(table[:, none], table[:, :0])
+        assert np.array_equal(sums, np.full(874, features.LOST))

@@ -296,6 +296,9 @@ def _product(weights: Singles, tables: Singles) -> Singles:
 
 def _rows(weights: Singles, numbers: Singles) -> Array:
     """Return sums (M,) of rows, or of one for all, each number times its weight, and what they may lose at most."""
+    # sums of nothing: ``einsum`` has been seen to leave in them what stood in memory
+    if not weights.shape[1]:
+        return np.full(len(weights), LOST)
     sums = np.einsum("na,na->n", weights, numbers) if len(numbers) == len(weights) else weights @ numbers[0]
     return sums.astype(float) + LOST
 
