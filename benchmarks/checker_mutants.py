@@ -344,7 +344,7 @@ MUTANTS = [
         ("y[:-1] += np.matmul(earlier[None], self.before)", "y[:-1] -= np.matmul(earlier[None], self.before)"),
         ("0.5 * (pushed[:, 1] - pushed[:, 0])", "0.25 * (pushed[:, 1] - pushed[:, 0])"),
         ("0.5 * (pushed[:, 0] + pushed[:, 1])", "pushed[:, 0]"),
-        ('np.sum(size * size, axis=2)', 'np.sum(moved, axis=2)'),
+        ("np.sum(size * size, axis=2)", "np.sum(moved, axis=2)"),
         ("each.sum(axis=0) * more", "each.max(axis=0) * more"),
         ("each.max(axis=0) * more", "each.mean(axis=0) * more"),
         ("np.any(size > 0.0, axis=0)", "np.all(moved > 0.0, axis=0)"),

@@ -142,7 +142,7 @@ def covariance_of(first: Forms, second: Forms) -> tuple[Array, Array]:
     """Return covariances (J, K) of forms, the noise of whose common steps is known, and what they are off by."""
     t = min(first.moved.shape[1], second.moved.shape[1])
     pairs = [(getattr(first, key)[:, :t], getattr(second, key)[:, :t]) for key in ("moved", "size")]
-    found, inner, outer = (np.tensordot(*own, ((1, 2), (1, 2))) for own in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
+    found, inner, outer = (np.tensordot(a, b, ((1, 2), (1, 2))) for a, b in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
     return found, (outer - inner) + (t * first.moved.shape[2] + 16.0) * 4.0 * U * outer + 1e-290
 
 
