@@ -46,7 +46,7 @@ TIERS: dict[str, str] = {
     "reach-avoid-20-v0": "solved",
     "reach-avoid-kinematic-v0": "solved",
     "reach-avoid-n-v0": "solved",
-    "reach-avoid-planar-v0": "solved",
+    "reach-avoid-planar-v0": "open",
     "reach-avoid-v0": "solved",
     "rendezvous-3-v0": "open",
     "rendezvous-v0": "solved",
