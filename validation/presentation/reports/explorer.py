@@ -180,8 +180,9 @@ def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
     return {
         "names": [coordinate_name(problem, k) for k in content.axes],
         "grid": [x.tolist() for x in grid],
-        "low": [float(x[0] - h) for x, h in zip(grid, half)],
-        "high": [float(x[-1] + h) for x, h in zip(grid, half)],
+        # an end that is 0 but for rounding is 0
+        "low": [float(np.round(x[0] / h - 1.0, 9) * h) + 0.0 for x, h in zip(grid, half)],
+        "high": [float(np.round(x[-1] / h + 1.0, 9) * h) + 0.0 for x, h in zip(grid, half)],
         "unit": UNIT,
         # At the start, and later: on the scale of odds, where colours begin and end, and what stands below them.
         "scales": [_scale(numbers) for numbers in (content.bounds, content.values)],
