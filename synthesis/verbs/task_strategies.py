@@ -271,8 +271,14 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
     if linear:
         # The first level alone costs less than exact cells do, but it is the first of many.
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
-        # Trees of many terms take long whatever the cells are.
-        strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
+        # Trees of many terms take long whatever the cells are; vertices of a team have few.
+        work = max(levels.work, exact, _tree_work(problem))
+        is_large = plan.paths and problem.n_agents > FEW_AGENTS and not is_scalar(problem)
+        ways = [team_strategy(problem, plan)] if is_large else []
+        if ways and not ways[0].refusal:
+            strategies.append(replace(ways[0], work=work, enough=levels.enough, after=""))
+        else:
+            strategies.append(replace(levels, work=work))
     # A task written out in time had its grid of vertices as it was written.
     if plan.paths and has_vertices_of_team(problem):
         strategies.insert(0, team_strategy(problem, plan))
