@@ -115,6 +115,8 @@ def forged(proof: Any, how: str) -> Any:
         "sets of other kinds": {"sets": tuple(own[:, :-1] for own in proof.sets)},
         "guards lead on": {"guards": (source, np.full_like(target, 1), sets)},
         "another start": {"start": ((proof.start[0] + 1) % 3, proof.start[1])},
+        "a child of another state": {"tree": (vertices - [0, 0, 0, 1], unions, kept)},
+        "guards from the end": {"guards": (source, target, sets - sets.max() - 1)},
         "vertices twice": {"tree": (np.repeat(vertices, 2, axis=0), unions, kept)},
         "kept twice": {"tree": (vertices, unions, np.repeat(kept, 2, axis=0))},
     }
@@ -124,13 +126,15 @@ def forged(proof: Any, how: str) -> Any:
 FORGERIES = (
     "failure", "a grid of another workspace", "inputs beyond their box", "no law", "less noise is seen", "one grid",
     "other coordinates", "all sets hold everything", "sets of other kinds", "guards lead on", "another start",
-    "vertices twice", "kept twice",
+    "a child of another state", "guards from the end", "vertices twice", "kept twice",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("how", FORGERIES)
 def test_forgeries_are_refused(certificate: cg.Certificate, how: str) -> None:
-    assert not cg.check(replace(certificate, proof=forged(certificate.proof, how)))
+    report = cg.check(replace(certificate, proof=forged(certificate.proof, how)))
+    assert not report
+    assert how not in ("a child of another state", "guards from the end") or "below 0" in str(report)
 
 
 def test_the_check_notices_what_the_search_gets_wrong(certificate: cg.Certificate, monkeypatch: Any) -> None:

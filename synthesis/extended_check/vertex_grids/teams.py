@@ -133,6 +133,9 @@ def team_value(
     for grid in grids:
         if grid.laws.shape != every or np.any((grid.laws < 0) | (grid.laws >= len(grid.inputs))):
             raise Refused("it does not say which law acts at every time and in every automaton state")
+    # numbers below 0 would count from the end: of another state, or twice
+    if any(np.any(own < 0) for own in (*guards[0], *guards[1], tree[0], tree[1][:, :5], tree[2])):
+        raise Refused("a table of the tree, or of its guards, holds a number below 0")
     known = [kinds_of(problem, i, own) for i, own in enumerate(steps)]
     initial = np.full(len(guards[1][0]), problem.automaton.initial)
     both = Guards(*guards[0]), Guards(initial, *guards[1])
