@@ -45,18 +45,22 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import (
-    refuse_vertex_grid,
-    refuse_vertex_team,
-    refuse_without_guess,
-    vertex_grid_certificate,
-    vertex_team_certificate,
-)
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
-
-MOST_GRID_STATES = 3
-"""States of an agent up to which it has a grid by default; certificates along a path need none."""
+from .vertex_strategies import (
+    MOST_GRID_STATES,
+    MOST_STILL_STATES,
+    beside_vertices,
+    has_other_noise,
+    has_shared_noise,
+    has_vertices_of_team,
+    has_vertices_only,
+    is_disturbed,
+    may_have_vertices,
+    moves_with_runs,
+    moving_strategy,
+    vertex_strategy,
+)
 
 PATH = 1.0 / 150.0
 """Work of a path for each agent, state and input, and for each pair of steps: it is a linear program after another."""
@@ -101,12 +105,6 @@ that has not come to PATH_ENDS, for a grid of vertices."""
 MANY_TOGETHER = 8
 """Automaton states of a team above which independent tasks are certified one by one."""
 
-MOST_STILL_STATES = 2
-"""States up to which grids of vertices are tried where some have no noise, by default."""
-
-SHARE_OF_VERTICES = 0.9
-"""Share of the effort that is left, which grids of vertices may take before others are tried."""
-
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
 
@@ -133,21 +131,12 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) or has_grid else []
         if plan.paths and not ways and moves_with_runs(problem):
-            ways, path = [_moving(problem, plan)], replace(path, ends=PATH_ENDS)
+            ways, path = [moving_strategy(problem, plan)], replace(path, ends=PATH_ENDS)
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     if not plan.paths:
         return _on_grids(problem, kinds, plan)
-    moving = [_moving(problem, plan)] if moves_with_runs(problem) else []
+    moving = [moving_strategy(problem, plan)] if moves_with_runs(problem) else []
     return [*moving, *_on_grids(problem, kinds, plan), path_strategy(problem, plan)]
-
-
-def _moving(problem: Problem, plan: Plan) -> Strategy:
-    """Return the way on grids of vertices that move with the runs of a path, where there is one."""
-
-    def why_not(results: Results) -> str | None:
-        return None if "path" in results else "skipped: there is no path that a grid could move along"
-
-    return replace(vertex_strategy(problem, plan), why_not=why_not)
 
 
 def _strategies_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
@@ -179,14 +168,14 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
         has_vertices_of_team(problem),
     )
     alone = of_team or has_vertices_only(problem)
-    ways = [(team_strategy if of_team else vertex_strategy)(problem, plan)] if few or alone else []
+    ways = [vertex_strategy(problem, plan)] if few or alone else []
     if not ways and moves_with_runs(problem):
-        ways = [_moving(problem, plan)]
+        ways = [moving_strategy(problem, plan)]
 
     def beside(results: Results) -> str | None:
         # cells have inputs that jump, which is better for some
         found = results.get("vertices")
-        return _beside_vertices(results) if alone or (found and found.certificate.lower_bound >= GOOD) else None
+        return beside_vertices(results) if alone or (found and found.certificate.lower_bound >= GOOD) else None
 
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=beside)]
 
@@ -261,6 +250,9 @@ def is_scalar(problem: Problem) -> bool:
 def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
     """Return the ways on grids where nothing but the problem is given."""
     linear = may_be_linear(problem, plan)
+    on_vertices = plan.paths and any(
+        asked(problem) for asked in (has_vertices_of_team, has_vertices_only, is_disturbed)
+    )
     strategies = [] if linear and has_linear_cells_only(problem) else [_others(problem, kinds, plan, linear)]
     exact = 0.0
     if any(agent.n_states > 1 for agent in problem.agents) and all(map(reaches_every_mean, problem.agents)):
@@ -271,18 +263,14 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
     if linear:
         # The first level alone costs less than exact cells do, but it is the first of many.
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
-        # Trees of many terms take long whatever the cells are; vertices of a team have few.
-        work = max(levels.work, exact, _tree_work(problem))
-        is_large = plan.paths and problem.n_agents > FEW_AGENTS and not is_scalar(problem)
-        ways = [team_strategy(problem, plan)] if is_large else []
-        if ways and not ways[0].refusal:
-            strategies.append(replace(ways[0], work=work, enough=levels.enough, after=""))
+        # Trees of many terms take long whatever the cells are.
+        levels = replace(levels, work=max(levels.work, exact, _tree_work(problem)))
+        if plan.paths and not on_vertices and problem.n_agents > FEW_AGENTS and not is_scalar(problem):
+            strategies += _vertices_or(levels, problem, plan)
         else:
-            strategies.append(replace(levels, work=work))
+            strategies.append(levels)
     # A task written out in time had its grid of vertices as it was written.
-    if plan.paths and has_vertices_of_team(problem):
-        strategies.insert(0, team_strategy(problem, plan))
-    elif plan.paths and (has_vertices_only(problem) or is_disturbed(problem)):
+    if on_vertices:
         strategies.insert(0, vertex_strategy(problem, plan))
     elif plan.paths and _is_too_much_for_cells(problem, strategies, plan):
         strategies.insert(0, replace(vertex_strategy(problem, plan), enough=GOOD))
@@ -291,6 +279,19 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
     elif not is_scalar(problem) or not linear:
         strategies.append(_finer(problem, plan))
     return strategies
+
+
+def _vertices_or(levels: Strategy, problem: Problem, plan: Plan) -> list[Strategy]:
+    """Return the ways of a large team on grids of vertices, and on linear cells where these give nothing."""
+    vertices = vertex_strategy(problem, plan)
+    if vertices.refusal:
+        return [levels]
+
+    def why_not(results: Results) -> str | None:
+        beside = beside_vertices(results)
+        return levels.why_not(results) if beside is None else beside
+
+    return [replace(vertices, work=levels.work, enough=levels.enough, after=""), replace(levels, why_not=why_not)]
 
 
 def _is_too_much_for_cells(problem: Problem, strategies: Sequence[Strategy], plan: Plan) -> bool:
@@ -337,105 +338,6 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
 
     ends = SOLVED if waited else WRITTEN_ENOUGH if of_team else PATH_ENDS
     return Strategy("path", run, 0.0 if waited or of_team else work, enough=enough, ends=ends)
-
-
-def may_have_vertices(problem: Problem) -> bool:
-    """Return whether the noise is large enough for a grid of vertices, wherever runs are."""
-    try:
-        refuse_without_guess(problem)
-    except RelationRefused:
-        return False
-    return True
-
-
-def has_other_noise(problem: Problem) -> bool:
-    """Return whether the problem is of one agent with noise that linear cells do not know: of other laws or sizes."""
-    agent = problem.agents[0]
-    return problem.n_agents == 1 and (agent.noise_scale is not None or agent.laws is not None)
-
-
-def moves_with_runs(problem: Problem) -> bool:
-    """Return whether one agent has a grid of vertices only if it moves with runs: of three states, or with angles."""
-    agent, least = problem.agents[0], MOST_STILL_STATES if problem.agents[0].angles else MOST_GRID_STATES
-    is_alone = problem.n_agents == 1 and least <= agent.n_states <= MOST_GRID_STATES
-    return is_alone and not has_other_noise(problem)
-
-
-def has_shared_noise(problem: Problem) -> bool:
-    """Return whether both states of one agent share noise, which grids of vertices take apart."""
-    agent = problem.agents[0]
-    return problem.n_agents == 1 and agent.n_states == MOST_STILL_STATES and not agent.has_independent_noise
-
-
-def has_vertices_only(problem: Problem) -> bool:
-    """Return whether no cells but vertices know the noise of one agent closely: of other laws, or partly none."""
-    agent = problem.agents[0]
-    is_still = agent.n_states <= MOST_STILL_STATES and bool(np.any(agent.still_axes)) and not reaches_every_mean(agent)
-    return has_other_noise(problem) or (problem.n_agents == 1 and is_still)
-
-
-def is_disturbed(problem: Problem) -> bool:
-    """Return whether one agent has few states, all with noise, and disturbances: vertices know the worst of them."""
-    agent = problem.agents[0]
-    few = problem.n_agents == 1 and agent.n_states <= MOST_STILL_STATES and not has_vertices_only(problem)
-    return few and isinstance(agent, Agent) and bool(agent.disturbances)
-
-
-def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
-    """Return the way on grids whose vertices have inputs: one agent with few states, noise of any size."""
-    # Where the size of noise varies, or its law is another one, or it is beside disturbances, paths say little.
-    alone = has_other_noise(problem) or is_disturbed(problem)
-    try:
-        (refuse_without_guess if alone else refuse_vertex_grid)(problem)
-    except RelationRefused as error:
-        return refused("vertices", error)
-    effort = plan.effort
-    # What is told is proved, and Ctrl-C keeps it.
-    work = replace(plan.along_paths, told=effort.tell_bound)
-
-    def run(results: Results) -> Synthesis:
-        with work.within(SHARE_OF_VERTICES * work.limit):
-            path = None if is_disturbed(problem) else results.get("path")
-            work.largest = max(work.largest, path.certificate.lower_bound if path else 0.0)
-            found = vertex_grid_certificate(problem, work, path.controller if path else None)
-        effort.is_interrupted |= work.is_interrupted
-        effort.spent += work.spent
-        return found
-
-    # Where a path does well it takes a fraction of the time; on a line, with disturbances, grids take a second.
-    is_quick = is_disturbed(problem) and problem.agents[0].n_states == 1
-    return Strategy("vertices", run, enough=SOLVED, after="" if is_quick else "path")
-
-
-def has_vertices_of_team(problem: Problem) -> bool:
-    """Return whether agents of a team have few states, and one has disturbances, or noise that only boxes know."""
-    if problem.n_agents == 1 or any(agent.n_states > MOST_STILL_STATES for agent in problem.agents):
-        return False
-    return any(
-        agent.disturbances or not (has_linear_cells(agent) or (reaches_every_mean(agent) and agent.noise_scale is None))
-        for agent in problem.agents
-    )
-
-
-def team_strategy(problem: Problem, plan: Plan) -> Strategy:
-    """Return the way of a team on grids whose vertices have inputs, one for each agent."""
-    try:
-        refuse_vertex_team(problem)
-    except RelationRefused as error:
-        return refused("vertices", error)
-    effort = plan.effort
-    work = replace(plan.along_paths, told=effort.tell_bound)
-
-    def run(results: Results) -> Synthesis:
-        with work.within(SHARE_OF_VERTICES * work.limit):
-            path = results.get("path")
-            work.largest = max(work.largest, path.certificate.lower_bound if path else 0.0)
-            found = vertex_team_certificate(problem, work, path.controller if path else None)
-        effort.is_interrupted |= work.is_interrupted
-        effort.spent += work.spent
-        return found
-
-    return Strategy("vertices", run, enough=SOLVED, after="path")
 
 
 def _exact(problem: Problem, plan: Plan) -> Strategy:
@@ -519,7 +421,7 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def why_not(results: Results) -> str | None:
         if "path" in results and results["path"].certificate.lower_bound > 0.0 and _is_for_paths(problem):
             return f"skipped: boxes of {MOST_GRID_STATES} states do not come near a path that proves something"
-        return _beside_vertices(results)
+        return beside_vertices(results)
 
     enough = SOLVED if scalar or not linear else GOOD
     # Boxes of three states take a minute, and are for where no path proves anything.
@@ -530,11 +432,6 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
 def _is_for_paths(problem: Problem) -> bool:
     """Return whether an agent has as many states as a grid has room for, and inputs that do not reach all means."""
     return any(agent.n_states >= MOST_GRID_STATES and not reaches_every_mean(agent) for agent in problem.agents)
-
-
-def _beside_vertices(results: Results) -> str | None:
-    """Return why boxes are left out beside a grid of vertices."""
-    return "skipped: vertices bound values more closely than boxes do" if "vertices" in results else None
 
 
 def _tree_work(problem: Problem) -> float:

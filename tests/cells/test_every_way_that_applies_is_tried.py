@@ -311,3 +311,25 @@ def test_a_path_may_take_what_it_takes_where_noise_is_too_small_for_vertices() -
         for scale in (0.2, 1e-3)
     ]
     assert not refusals[0] and "the noise is small" in refusals[1]
+
+
+@pytest.mark.full_search
+def test_a_large_team_has_linear_cells_where_vertices_give_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: Any) -> Any:
+        raise RelationRefused("no runs satisfy the task")
+
+    monkeypatch.setattr("certigym.synthesis.verbs.vertex_strategies.vertex_team_certificate", nothing)
+    robot = {
+        "A": np.eye(2), "B": 0.5 * np.eye(2), "noise_std": [0.5, 0.5], "state_low": [-2, -2], "state_high": [2, 2],
+        "input_low": [-1, -1], "input_high": [1, 1], "initial_state": [0, 0],
+    }  # fmt: skip
+    agents = [cg.LinearAgent(name=name, **robot) for name in "abc"]
+    goals = {f"goal_{name}": cg.Proposition(name, [0.2, 0.2], [1.8, 1.8]) for name in "abc"}
+    task = "F (goal_a & goal_b & goal_c)"
+    problem = cg.Problem(name="p", agents=agents, propositions=goals, specification=task, horizon=3)
+    tried = [way.name for _, ways in strategies_ahead(problem) for way in ways if not way.refusal]
+    assert tried.index("vertices") < tried.index("linear")
+    found = cg.synthesize(problem, effort=8.0)
+    outcomes = tried_of(found)
+    assert "no runs satisfy" in outcomes["vertices"]
+    assert "vertices" not in str(outcomes.get("linear", "vertices")), outcomes

@@ -11,7 +11,7 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from ...relations.grids import FloatArray
 from ...relations.kinds import JointNetworkPolicy, SymbolicPolicy, seen_jointly
 from ..beliefs import alarm
 from ..cell_probabilities import AgentRecord
+from ..value_functions import tree_rows
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
@@ -496,9 +497,8 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
     known = read_problem({"problem": canonical_problem(problem)}).agents
     value: dict[str, Any] = {}
     if proof.rounding is None:
-        tables = zip(*_tree_rows(proof), strict=True)
-        names = "vertices", "unions", "kept"
-        value["tree"] = {name: put(np.concatenate(rows), np.int32) for name, rows in zip(names, tables, strict=True)}
+        tables = zip(("vertices", "unions", "kept"), tree_rows(proof.merge_log), strict=True)
+        value["tree"] = {name: put(rows, np.int32) for name, rows in tables}
     elif sum(part.policy.shape[-1] for part in proof.agents) > CELLS_OF_TRAINS:
         raise NotCanonicalError("tensor trains on so many cells would take the small checker many minutes")
     else:
@@ -514,18 +514,6 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
         **value,
         "agents": [_cells_of(*each, put) for each in zip(problem.agents, known, proof.agents, strict=True)],
     }
-
-
-def _tree_rows(proof: GridProof) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the rows of the tree for each time and state: vertices, unions, and what is kept."""
-    for t, step in enumerate(proof.merge_log):
-        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
-            columns = (
-                origin,
-                np.stack([merges.into, merges.absorbed, merges.agent, merges.rests], axis=1),
-                kept[:, None],
-            )
-            yield tuple(np.hstack([np.tile([t, q], (len(rows), 1)), rows]) for rows in columns)  # type: ignore[misc]
 
 
 def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Pool) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from .terms import (
     sum_factors,
     term_depths,
     term_masses,
+    tree_rows,
 )
 from .train_values import (
     Backup,

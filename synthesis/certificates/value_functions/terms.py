@@ -259,6 +259,21 @@ class Guards:
         return f"Guards({len(self.source)}, agents: {len(self.masks)}, automaton states with guards: {states})"
 
 
+def tree_rows(merge_log: Sequence[MergeLog]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the tables of a tree in the checker's form: vertices (n, 4), unions (m, 6) and what is kept (k, 3).
+
+    Rows begin with the time and the automaton state.
+    """
+    tables: list[list[IndexArray]] = [[], [], []]
+    for t, step in enumerate(merge_log):
+        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
+            unions = np.stack([merges.into, merges.absorbed, merges.agent, merges.rests], axis=1)
+            for table, rows in zip(tables, (origin, unions, kept[:, None]), strict=True):
+                table.append(np.hstack([np.tile([t, q], (len(rows), 1)), rows]).astype(np.int64))
+    vertices, unions, kept = (np.concatenate(table) for table in tables)
+    return vertices, unions, kept
+
+
 def candidate_depths(
     origin: IndexArray, merges: Merges, guards: Guards, depths: Sequence[NDArray[np.int64]]
 ) -> NDArray[np.int64]:

@@ -87,11 +87,7 @@ def failure_of(
     in which the noise is independent, and no other ones (``coordinates``). Edges (T + 1, n + 1) of an axis are those
     of each time: they lie in the workspace; edges (n + 1,), of all times, tile it.
     """
-    # As the small checker does: first the machine, then the automaton against the formula.
-    if wrong := wrong_arithmetic():
-        raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
-    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
-        raise Refused(f"the automaton is not that of the formula: {wrong}")
+    refuse_to_begin(problem)
     problem = independent(problem)
     own = problem.matrix if isinstance(problem, Independent) else None
     if (own is None) != (matrix is None) or (own is not None and not np.array_equal(own, np.asarray(matrix))):
@@ -104,6 +100,25 @@ def failure_of(
     for t in range(problem.horizon - 1, -1, -1):
         values, given_up = steps.backup(values, given_up, inputs[laws[t]], t)
     return steps.failure(values, given_up)
+
+
+def refuse_to_begin(problem: CheckedProblem) -> None:
+    """Raise where nothing is proved, as the small checker does: first of the machine, then of the automaton."""
+    if wrong := wrong_arithmetic():
+        raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
+    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
+        raise Refused(f"the automaton is not that of the formula: {wrong}")
+
+
+def has_moving_regions(problem: CheckedProblem) -> bool:
+    """Return whether a region is elsewhere at some time."""
+    return any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in problem.regions)
+
+
+def at_time(problem: CheckedProblem, t: int) -> CheckedProblem:
+    """Return a problem whose regions are, at all times, where they are at one."""
+    regions = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in problem.regions]
+    return replace(problem, regions=tuple(regions))
 
 
 @dataclass(eq=False)
@@ -302,13 +317,11 @@ class Backups:
         Where the letter is not known it is the least of those of all states that it may lead to.
         """
         automaton = self.problem.automaton
-        moves = any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in self.problem.regions)
-        t = t if moves or self.moves else 0
+        t = t if self.moves or has_moving_regions(self.problem) else 0
         if t not in self.letters:
             if len(self.letters) >= LETTERS:
                 self.letters.clear()
-            here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in self.problem.regions]
-            now, edges = replace(self.problem, regions=tuple(here)), self.edges_at(t)
+            now, edges = at_time(self.problem, t), self.edges_at(t)
             labels = labels_of_copies(now, edges) if self.agent.angles else cell_labels(now, 0, edges)[1]
             mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
             kinds, which = np.unique(labels, axis=0, return_inverse=True)

@@ -31,11 +31,11 @@ from ....envs.systems.distributions import Law
 from ...checker import CheckedAgent, CheckedProblem, Refused
 from ...checker.cells import spread, start_weights
 from ...checker.expressions import names_in
-from ...checker.formula import wrong_automaton
+from ...checker.intervals import up
 from ...checker.motions import cell_labels
-from ...checker.rigorous import Array, Truth, Whole, wrong_arithmetic
+from ...checker.rigorous import Array, Truth, Whole
 from ...checker.tree import Guards, Team, Tree, check_guards, value_at_start
-from .backups import Backups
+from .backups import Backups, at_time, has_moving_regions, refuse_to_begin
 
 SMALLEST = 2.0**-900  # factors that are nowhere larger count as 0
 
@@ -86,13 +86,10 @@ def team_failure(
     are tables of sources, targets and sets, of time 0 without sources; ``tree`` has vertices, unions, and what is kept.
     ``noise_laws`` are those of the sources of each agent, None where they are normal.
     """
-    if wrong := wrong_arithmetic():
-        raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
-    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
-        raise Refused(f"the automaton is not that of the formula: {wrong}")
+    refuse_to_begin(problem)
     each = zip(grids, noise_laws, strict=True)
     steps = [steps_of(problem, i, grid, laws) for i, (grid, laws) in enumerate(each)]
-    return 1.0 - team_value(problem, steps, grids, sets, guards, tree)
+    return float(up(1.0 - team_value(problem, steps, grids, sets, guards, tree)))
 
 
 def steps_of(problem: CheckedProblem, i: int, grid: Grid, laws: Sequence[Law] | None) -> Backups:
@@ -166,11 +163,9 @@ class Kinds:
 
 def kinds_of(problem: CheckedProblem, i: int, steps: Backups) -> Kinds:
     """Return the kinds of cells of agent i."""
-    moves = any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in problem.regions)
     mine, each = list[int](), list[NDArray[np.int8]]()
-    for t in range(problem.horizon + 1 if moves or steps.moves else 1):
-        here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in problem.regions]
-        mine, labels = cell_labels(replace(problem, regions=tuple(here)), i, steps.edges_at(t))
+    for t in range(problem.horizon + 1 if steps.moves or has_moving_regions(problem) else 1):
+        mine, labels = cell_labels(at_time(problem, t), i, steps.edges_at(t))
         each.append(labels)
     kinds, which = np.unique(np.concatenate(each), axis=0, return_inverse=True)
     return Kinds(mine, kinds, which.reshape(len(each), -1))

@@ -9,7 +9,7 @@ tree kept is written down, and the check's own backups say what it proves (``ver
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import compile_guards
 from ...certificates.proofs import VertexGrid, VertexTeamProof
-from ...certificates.value_functions import MergeLog, Terms, compress
+from ...certificates.value_functions import MergeLog, compress, tree_rows
 from ...checker import CheckedProblem
 from ...extended_check.vertex_grids import Kinds, VertexKernel, kinds_of, team_value
 from ...relations.grids import FloatArray, RelationRefused
@@ -53,11 +53,11 @@ class TeamGrids:
     problem: Problem
     checked: CheckedProblem
     steps: list[Counted]
-    laws: list[NDArray[np.int64]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         every = self.problem.horizon, len(self.checked.automaton.accepting)
-        self.laws = self.laws or [np.zeros(every, dtype=np.int64) for _ in self.steps]
+        # which law of each agent acts (T, Q), and the tree of the last sweep
+        self.laws = [np.zeros(every, dtype=np.int64) for _ in self.steps]
         self.log: list[MergeLog] = []
 
     @cached_property
@@ -112,18 +112,7 @@ class TeamGrids:
             for table in (self.guards.source, self.guards.target, self.guards.mask, self.start.target, self.start.mask)
         )
         guards, start = (source, target, sets), (first, first_sets)
-        return VertexTeamProof(grids, self.guards.masks, self.start.masks, guards, start, self.tree(), failure)
-
-    def tree(self) -> tuple[IndexArray, IndexArray, IndexArray]:
-        """Return the tree that was kept, in the checker's form."""
-        each: list[list[IndexArray]] = [[], [], []]
-        for t, step in enumerate(self.log):
-            for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
-                unions = np.stack([merges.into, merges.absorbed, merges.agent, merges.rests], axis=1)
-                for table, rows in zip(each, (origin, unions, kept[:, None]), strict=True):
-                    table.append(np.hstack([np.tile([t, q], (len(rows), 1)), rows]).astype(np.int64))
-        vertices, unions, kept = (np.concatenate(rows) for rows in each)
-        return vertices, unions, kept
+        return VertexTeamProof(grids, self.guards.masks, self.start.masks, guards, start, tree_rows(self.log), failure)
 
     def proved(self, choices: Sequence[Choice]) -> float:
         """Return an upper bound on the failure, by the check's own backups."""
@@ -156,7 +145,7 @@ class TeamIteration:
         is_coarse: bool = False,
         is_hopeful: bool = False,
     ) -> None:
-        self.grids, self.hoped, self.is_hopeful = grids, 0.0, is_hopeful
+        self.grids, self.is_hopeful = grids, is_hopeful
         self.rank = RANK[max(len(own.edges) for own in grids.steps)]
         failure = aim if runs is None else max(aim, runs.failure)
         self.little = LITTLE * failure / grids.problem.horizon
@@ -195,23 +184,9 @@ class TeamIteration:
                 kept.append(options.row[q][keep])
             terms = assemble(parts, places)
             log.append(MergeLog(options.origin, options.merges, tuple(kept)))
-        grids.log, self.hoped = log[::-1], self._at_start(terms)
+        grids.log = log[::-1]
         if not any(len(rows) for rows in terms.index):
             raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
-
-    def _at_start(self, terms: Terms) -> float:
-        """Return what values are in the middle of the starts, after the letter of time 0; nothing is charged."""
-        total, start = 0.0, self.grids.start
-        middles = [own.agent.start.mean(axis=0)[:, None] for own in self.grids.steps]
-        for target, sets in zip(start.target.tolist(), start.mask.tolist(), strict=True):
-            worth = np.ones(len(terms.index[target]))
-            for i, own in enumerate(self.grids.steps):
-                mask = VertexKernel(own, np.zeros(0)).spread(start.masks[i][[sets[i]]][:, self.grids.kinds[i].at(0)])
-                places, weights = _places(own.edges_at(0), middles[i])
-                read = (mask * terms.factors[i])[:, places[:, 0]] @ weights[:, 0]
-                worth = worth * read[terms.index[target][:, i]]
-            total += float(worth.sum())
-        return total
 
 
 class _Stage:
@@ -233,17 +208,14 @@ class _Stage:
         """Let agents choose laws, one after the other, and take all factors one step back."""
         met = [self.arriving.means(i, table, self.q)[self.rows[:, i]] for i, table in enumerate(self.tables)]
         for i, (choice, steps, table) in enumerate(zip(self.whole.choices, self.steps, self.tables, strict=True)):
-            laws = self.whole.grids.laws[i]
+            laws, shape = self.whole.grids.laws[i], [2 * n for n in steps.shape]
             later = laws[min(self.t + 1, len(laws) - 1), [self.q]]
             if i in answering:
                 weights = np.prod([own for j, own in enumerate(met) if j != i], axis=0).mean(axis=1)
                 W = np.bincount(self.rows[:, i], weights=weights, minlength=len(table)) @ table
                 passing = choice.passing(self.t, [self.q])
-                laws[self.t, self.q] = choice.adjusted(W.reshape([2 * n for n in steps.shape]), self.t, later, passing)[
-                    0
-                ]
-            images = steps.images_of(choice.laws[laws[self.t, self.q]], self.t)
-            nothing, shape = np.zeros(steps.shape, dtype=bool), [2 * n for n in steps.shape]
+                laws[self.t, self.q], _ = choice.adjusted(W.reshape(shape), self.t, later, passing)
+            images, nothing = steps.images_of(choice.laws[laws[self.t, self.q]], self.t), np.zeros(steps.shape, bool)
             steps.count(ONCE, 0.0)
             steps.count(PRODUCT * images.vertices.products * len(table))
             each = [images.vertices.below(own.reshape(shape)) for own in table]

@@ -2,45 +2,32 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
 from ....envs.tasks.problem import Problem
-from ...certificates.proofs import (
-    Certificate,
-    NotCanonicalError,
-    Synthesis,
-    VertexTeamProof,
-    canonical_problem,
-)
+from ...certificates.proofs import NotCanonicalError, Synthesis, VertexTeamProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, read_problem
 from ...extended_check.vertex_grids import NEAR, alone
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
-from .axis_edges import grid_of, moving_grid_of, spreads_in, spreads_of
-from .counted_backups import BrokenOff, Counted
+from .axis_edges import grid_of, moving_grid_of, spreads_of
+from .best_grid import AIMS, CLAIMED, ENOUGH, GAINS, SEEN, BestGrid, left_over
+from .counted_backups import Counted
 from .input_choice import INPUTS
-from .sampled_runs import MANY, RUNS, Runs
+from .sampled_runs import RUNS, Runs
 from .team_iteration import TeamGrids, TeamIteration
 from .value_iteration import (
-    AIMS,
-    CLAIMED,
-    ENOUGH,
     FINER_STEPS,
     FIRST,
-    GAINS,
-    LEFT,
-    LOWERED,
     MORE,
     MOST_VERTICES,
-    MOVING,
     POOR_GUESS,
-    SEEN,
     hull,
     jumps_of,
     lattice_around,
+    moving_windows,
     near_of,
     refuse_small_noise,
     whole_of,
@@ -84,21 +71,9 @@ def vertex_team_certificate(problem: Problem, work: CountedWork, guess: Any = No
 
     Runs under the controllers ``guess`` say where agents are, if many of them satisfy the task.
     """
-    checked = refuse_vertex_team(problem)
-    began = time.perf_counter()
-    best, levels = _TeamSearch(problem, checked, work).found(guess)
-    certificate = Certificate(problem, best, {"relation": "vertex grid", "levels": levels})
-    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
-    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
-    stats: dict[str, Any] = {
-        "seconds": seconds,
-        "rank": best.rank,
-        "sweeps": [],
-        "starts": {},
-        "dropped": 0.0,
-        **unknown,
-    }
-    return Synthesis(certificate, certificate.controller, stats)
+    search = _TeamSearch(problem, refuse_vertex_team(problem), work)
+    search.refine(guess)
+    return search.best.synthesis(problem)
 
 
 class _TeamSearch:
@@ -106,6 +81,7 @@ class _TeamSearch:
 
     def __init__(self, problem: Problem, checked: CheckedProblem, work: CountedWork) -> None:
         self.problem, self.checked, self.work = problem, checked, work
+        self.best = BestGrid[VertexTeamProof](work)
         self.alone = [alone(checked, i) for i in range(problem.n_agents)]
         self.spreads = [spreads_of(own) for own in self.alone]
         self.alive = [own.agents[0].state_box for own in self.alone]
@@ -157,50 +133,32 @@ class _TeamSearch:
         iteration.sweep(runs, range(self.problem.n_agents))
         return grids, iteration, self.runs_of(grids, iteration)
 
-    def found(self, guess: Any) -> tuple[VertexTeamProof, dict[str, float]]:
-        """Return the best proof, and the bound of each level."""
-        work, best, levels = self.work, None, dict[str, float]()
+    def refine(self, guess: Any) -> None:
+        """Look for the best proof on finer and finer grids."""
+        best = self.best
         runs = None if guess is None else Runs.under(self.problem, guess)
         runs = None if runs is None or runs.failure >= POOR_GUESS else runs
-        aim = AIMS[0]
-        try:
+        with best.kept():
             runs = self.coarse(runs)
             while True:
                 self._look(runs)
-                grids, iteration, failure = self._level(runs, aim)
-                levels[" and ".join(" x ".join(map(str, own.shape)) for own in grids.steps)] = 1.0 - failure
+                grids, iteration, failure = self._level(runs)
+                is_best = best.tried(" and ".join(" x ".join(map(str, own.shape)) for own in grids.steps), failure)
                 runs = runs.or_better(self.runs_of(grids, iteration))
-                aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
-                is_slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
-                if best is None or failure < best.failure:
-                    best = grids.proof(iteration.choices, min(1.0, failure * CLAIMED))
-                    work.tell(failure)
-                is_good = runs.failure > failure - min(LEFT[0] * failure, LEFT[1]) and failure > SEEN / (MANY * RUNS)
-                more = self._more(grids)
-                if failure < ENOUGH or is_slow or is_good or more is None:
+                if is_best:
+                    best.keep(grids.proof(iteration.choices, min(1.0, failure * CLAIMED)), failure)
+                least, more = left_over(failure), self._more(grids)
+                is_good = least is not None and runs.failure > least
+                if failure < ENOUGH or best.is_slow or is_good or more is None:
                     break
                 self._refine(grids, more)
-        except KeyboardInterrupt:
-            if best is None or best.failure >= 1.0:
-                raise
-            work.is_interrupted = True
-        except BrokenOff:
-            pass
-        except Refused as reason:
-            if best is None:
-                raise RelationRefused(str(reason)) from reason
-        if best is None or best.failure >= 1.0:
-            raise RelationRefused(
-                f"nothing is proved on grids of {', '.join(levels) or 'few'} cells; ask for more `effort`"
-            )
-        return best, levels
 
-    def _level(self, runs: Runs, aim: float) -> tuple[TeamGrids, TeamIteration, float]:
+    def _level(self, runs: Runs) -> tuple[TeamGrids, TeamIteration, float]:
         """Return grids with laws for all agents, and an upper bound on the failure."""
         grids = self.grids()
         for own, window in zip(grids.steps, self.windows, strict=True):
-            own.near, own.window = near_of(own, max(runs.failure, aim)), lattice_around(own, window)
-        iteration = TeamIteration(grids, runs, aim)
+            own.near, own.window = near_of(own, max(runs.failure, self.best.aim)), lattice_around(own, window)
+        iteration = TeamIteration(grids, runs, self.best.aim)
         iteration.sweep(runs, range(self.problem.n_agents))
         return grids, iteration, grids.proved(iteration.choices)
 
@@ -211,20 +169,9 @@ class _TeamSearch:
             mine, spreads, before = runs.of_agent(columns), self.spreads[i], self.windows[i]
             if before.ndim > 2:
                 self.windows[i] = hull(before, mine.windows(own, spreads))
-            elif (moving := self._moving(own, spreads, mine)) is not None:
-                self.windows[i] = moving
-            else:
-                self.windows[i] = within(self.alive[i], mine.window(own, spreads))
-
-    def _moving(self, own: CheckedProblem, spreads: FloatArray, runs: Runs) -> FloatArray | None:
-        """Return windows of each time, where a grid that moves along them is much smaller than one at rest."""
-        if len(spreads) not in MOVING:
-            return None
-        windows, window = runs.windows(own, spreads), runs.window(own, spreads)
-        lengths = (windows[:, 1] - windows[:, 0]) / spreads_in(own, spreads, windows)
-        at_rest = (window[1] - window[0]) / np.median(spreads, axis=1)
-        is_smaller = np.prod(lengths, axis=1).mean() <= MOVING[len(spreads)] * np.prod(at_rest)
-        return windows if is_smaller else None
+                continue
+            windows, _, is_smaller = moving_windows(own, spreads, mine)
+            self.windows[i] = windows if is_smaller else within(self.alive[i], mine.window(own, spreads))
 
     def _more(self, grids: TeamGrids) -> float | None:
         """Return how many times as many vertices the next grids have; None where the work does not allow it."""

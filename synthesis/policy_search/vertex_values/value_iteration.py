@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....envs.systems.distributions import Law
 from ....envs.tasks.problem import Problem
-from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexGrid, VertexProof, canonical_problem
+from ...certificates.proofs import NotCanonicalError, Synthesis, VertexGrid, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, read_problem
 from ...extended_check.vertex_grids import (
     FARTHEST,
@@ -28,9 +27,10 @@ from ...extended_check.vertex_grids import (
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, moving_grid_of, spreads_in, spreads_of
-from .counted_backups import BrokenOff, Counted
+from .best_grid import CLAIMED, ENOUGH, BestGrid, left_over
+from .counted_backups import Counted
 from .input_choice import INPUTS, Choice
-from .sampled_runs import MANY, RUNS, Runs, walls_of, within_a_turn
+from .sampled_runs import Runs, walls_of, within_a_turn
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
@@ -40,11 +40,6 @@ FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 
 COARSE = 1.0, 2.5
 """How many times as many vertices as the first grid coarse ones have."""
-
-AIMS, LOWERED = (0.005, 0.02), 0.3
-"""Failure that the first grid aims at, unless no more is hoped for: laws that lose little beside it are not made anew.
-Later ones aim at a share of what the grid before failed by, and at this share of what it aimed at at least: with many
-more laws work would grow in a way that the grid before does not tell."""
 
 LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
 """Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
@@ -62,9 +57,6 @@ next grid is than what the kinds of the one before say."""
 BEYOND = 3.0
 """Deviations by which a lattice goes beyond the window where runs pass."""
 
-ENOUGH = 1e-5
-"""Failure from which no finer grid is tried."""
-
 POOR_GUESS = 0.5
 """Failure of a controller from which its runs say nothing of where cells have to be narrow."""
 
@@ -74,14 +66,6 @@ FIRST_WIDTH = 2.5
 SURE_WIDTH, CHARGED, DEAR = 1.6, 1.7, 0.1
 """Deviations that cells are wide at most for a grid to prove something, as a rule; how much more work a grid is on
 which something is charged; share of the work that is left which is not spent on wider cells."""
-
-GAINS = 0.02
-"""Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
-
-LEFT, SEEN = (0.3, 1e-3), 30
-"""No finer grid is tried where so little of the failure is charged, as a share and in all, that the rest is what the
-controller itself fails by, as far as its runs say: where it fails in so many of them.
-"""
 
 MOVING, MOVING_WIDTH = {2: 0.6, 3: math.inf}, {2: 1.6, 3: 1.3}
 """By the number of states, share of the cells of a grid at rest from which on one moves with runs, and deviations that
@@ -98,9 +82,6 @@ ONLY_MOVING = "a state is an angle: grids of vertices know angles where they mov
 
 WIDE = 1.5
 """Deviations from which on a cell is wide: values are continuous across it."""
-
-CLAIMED = 1.0 + 1e-5
-"""Factor on the failure that is claimed: other machines add in another order, in single precision where values bend."""
 
 NARROW, MOST_NARROW = 2.0, 5e4
 """Deviations of the noise that a cell is as wide as, and the most cells so wide that a workspace may have."""
@@ -166,17 +147,13 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork, guess: Any = No
     Runs under the controller ``guess`` say where cells have to be narrow, if many of them satisfy the task.
     """
     refuse_vertex_grid(problem)
-    began = time.perf_counter()
-    best, levels = _refined(problem, work, guess)
-    certificate = Certificate(problem, best, {"relation": "vertex grid", "levels": levels})
-    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
-    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
-    stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
-    return Synthesis(certificate, certificate.controller, stats)
+    best = BestGrid[VertexProof](work)
+    _refined(problem, work, guess, best)
+    return best.synthesis(problem)
 
 
-def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexProof, dict[str, float]]:
-    """Return the best proof on finer and finer grids, and the bound of each of them."""
+def _refined(problem: Problem, work: CountedWork, guess: Any, best: BestGrid[VertexProof]) -> None:
+    """Look for the best proof on finer and finer grids."""
     checked, noise_laws = _checked(problem), problem.agents[0].laws
     spreads, states = spreads_of(checked), problem.agents[0].n_states
     vertices, most = float(FIRST[states]), MOST_VERTICES[states]
@@ -194,8 +171,8 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             full = within(alive, runs.window(checked, spreads))
             cells = np.prod(1.0 + (full[1] - full[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
             vertices = float(np.clip(cells, vertices, most))
-    best, levels, finer, aim = None, dict[str, float](), np.ones(len(spreads)), AIMS[0]
-    try:
+    finer = np.ones(len(spreads))
+    with best.kept():
         if runs is None or narrow is None:
             refuse_small_noise(spreads, full)
             # other runs may go further than those of a guess
@@ -211,45 +188,27 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 window = within_a_turn(checked, hull(window, runs.windows(checked, spreads)))
                 edges = moving_grid_of(checked, spreads, round(vertices), window, finer)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
-            steps.near, steps.window = near_of(steps, max(runs.failure, aim)), lattice_around(steps, window)
-            if best is not None and best.grid.window is not None and steps.window is None and steps.agent.disturbances:
+            steps.near, steps.window = near_of(steps, max(runs.failure, best.aim)), lattice_around(steps, window)
+            had_lattice = best.proof is not None and best.proof.grid.window is not None
+            if had_lattice and steps.window is None and steps.agent.disturbances:
                 break  # pieces of disturbances stay as wide, and without a lattice more is charged on them
-            inputs, laws, failure, hoped = iterated(steps, runs, aim)
-            levels[" x ".join(str(n) for n in steps.shape)] = 1.0 - failure
+            inputs, laws, failure, hoped = iterated(steps, runs, best.aim)
+            is_best = best.tried(" x ".join(str(n) for n in steps.shape), failure)
             if narrow is not None and 1.0 - hoped < HOPELESS * work.largest and failure >= 1.0 - work.largest:
                 break
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= steps.wanted
             runs = runs.or_better(Runs.of(steps, inputs, laws, hoped))
-            aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
-            slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
-            if best is None or failure < best.failure:
-                claim = min(1.0, failure * CLAIMED)
+            if is_best:
                 grid = VertexGrid(edges, inputs, laws, steps.jumps, steps.near, steps.window, matrix)
-                best = VertexProof(grid, claim)
-                work.tell(failure)
-            least = failure - min(LEFT[0] * failure, LEFT[1])
-            is_seen = failure > SEEN / (MANY * RUNS) and runs.failure > least
-            is_good = is_seen and Runs.least_failure(steps, inputs, laws) > least
+                best.keep(VertexProof(grid, min(1.0, failure * CLAIMED)), failure)
+            least = left_over(failure)
+            is_good = least is not None and runs.failure > least and Runs.least_failure(steps, inputs, laws) > least
             each = [min(float(own), most / vertices) for own in FINER_STEPS]
             more = next((own for own in each if work.allows(MORE * steps.grown(own, laws))), None)
-            if failure < ENOUGH or slow or is_good or more is None or vertices >= most:
+            if failure < ENOUGH or best.is_slow or is_good or more is None or vertices >= most:
                 break
             vertices *= more
-    except KeyboardInterrupt:
-        if best is None or best.failure >= 1.0:
-            raise
-        work.is_interrupted = True
-    except BrokenOff:
-        pass
-    except Refused as reason:  # of a grid; what was found has to do
-        if best is None:
-            raise RelationRefused(str(reason)) from reason
-    if best is None or best.failure >= 1.0:
-        raise RelationRefused(
-            f"nothing is proved on grids of {', '.join(levels) or 'few'} cells; ask for more `effort`"
-        )
-    return best, levels
 
 
 def _moving_cells(
@@ -263,10 +222,8 @@ def _moving_cells(
     d = len(spreads)
     if d not in MOVING or runs.failure >= POOR_GUESS:
         return None
-    windows, window = runs.windows(problem, spreads), runs.window(problem, spreads)
-    lengths = (windows[:, 1] - windows[:, 0]) / spreads_in(problem, spreads, windows)
-    at_rest, is_turning = (window[1] - window[0]) / np.median(spreads, axis=1), bool(problem.agents[0].angles)
-    if not is_turning and np.prod(lengths, axis=1).mean() > MOVING[d] * np.prod(at_rest):
+    windows, lengths, is_smaller = moving_windows(problem, spreads, runs)
+    if not is_smaller and not problem.agents[0].angles:
         return None
     cells = 1.0 + lengths.mean(axis=0) / MOVING_WIDTH[d]
     edges = moving_grid_of(problem, spreads, round(float(np.prod(cells))), windows)
@@ -282,6 +239,17 @@ def _moving_cells(
         if POINT * points > FIRST_SHARE * (work.limit - work.spent):
             return None
     return float(np.prod(cells))
+
+
+def moving_windows(problem: CheckedProblem, spreads: FloatArray, runs: Runs) -> tuple[FloatArray, FloatArray, bool]:
+    """Return windows (T + 1, 2, d) of runs, their lengths (T + 1, d) in deviations, and whether they save enough cells.
+
+    A grid that moves along them is much smaller then than one at rest.
+    """
+    windows, window = runs.windows(problem, spreads), runs.window(problem, spreads)
+    lengths = (windows[:, 1] - windows[:, 0]) / spreads_in(problem, spreads, windows)
+    at_rest = np.prod((window[1] - window[0]) / np.median(spreads, axis=1))
+    return windows, lengths, bool(np.prod(lengths, axis=1).mean() <= MOVING.get(len(spreads), 0.0) * at_rest)
 
 
 def _coarse(
