@@ -28,6 +28,9 @@ INPUTS = {1: 9, 2: 5, 3: 3}
 APART = 0.1
 """What inputs of neighbours cost that lead one deviation of the noise apart: the square of it, in probability."""
 
+SIZED = 2.0
+"""How much more it costs if sizes of the noise differ, in deviations: they move what is some deviations away."""
+
 SWEEPS, COARSEST, LEVELLED = 20, 6, 0.01
 """How often inputs are adjusted to those of their neighbours, on the coarsest level (of every eighth vertex, say), the
 next one, and so on; the fewest vertices of the longest axis on a level; and how much squares cost on all levels but the
@@ -266,10 +269,11 @@ class Choice:
             d, apart = len(self.at), np.zeros((n, self.m))
             sizes = np.maximum(np.abs(np.nan_to_num(images[len(images) // 2][d:])), self.widths)
             # under the first disturbances, if there are any
-            means = np.stack([own[:d] for own in images[: len(self.tried)]]).reshape(*[self.count] * self.m, d, n)
+            means = np.stack(images[: len(self.tried)]).reshape(*[self.count] * self.m, 2 * d, n)
             for j in range(self.m):
-                # from the least to the most of an input, whatever the others are
-                way = np.abs(np.take(means, -1, axis=j) - np.take(means, 0, axis=j)) / sizes
+                # over all of an input, whatever the others are
+                way = np.ptp(means, axis=j) / np.tile(sizes, (2, 1))
+                way[d:] *= SIZED
                 apart[:, j] = np.nan_to_num(way).reshape(-1, n).max(axis=0) ** 2
             where, noises = np.concatenate(images, axis=1), steps.noises
             if self.crossed:
