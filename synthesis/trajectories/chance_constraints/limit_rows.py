@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc, log_ndtr, ndtr
+from scipy.special import erfc, erfcx, log_ndtr, ndtr
 
 from ....envs.systems.distributions import Tail
 from ...relations.grids import FloatArray
@@ -32,8 +32,12 @@ SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 PARTS = ("low", "high", "strip", "variance", "largest", "correlation")
 """Lists of rows that are kept side by side."""
 
-NODES, WEIGHTS = np.polynomial.laguerre.laggauss(6)
-"""Where a normal number is that is beyond an end, in units of about what it is beyond it by, and how much of it."""
+NODES, WEIGHTS = (np.array([0.5, 0.5])[:, None] * np.polynomial.legendre.leggauss(8)) + np.array([0.5, 0.0])[:, None]
+"""Where a normal number is that is beyond an end, as shares of how far beyond matters, and what of it is there."""
+
+FAR_BEYOND, KEPT_TO = 8.0, 6.0
+"""How far beyond an end a normal number is at most, in units of about what it is beyond it by; and in deviations given
+it, by which another one is kept then."""
 
 PAIR = "pair"
 """Beginning of the names of rows about two agents."""
@@ -253,13 +257,17 @@ def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _kept_before(a: FloatArray, b: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Return about P(Y <= b | X > a) of standard normal numbers, all (K,): what is beyond a is so by steps of 1 / a."""
-    rate = a + 1.0 / (1.0 + a)
-    beyond = NODES[:, None] / rate
-    weights = WEIGHTS[:, None] * np.exp(NODES[:, None] - a * beyond - 0.5 * beyond * beyond)
+    """Return about P(Y <= b | X > a) of standard normal numbers, all (K,), a and b above 0.
+
+    Where the correlation is large Y is kept by what is hardly beyond a: there the integral is taken.
+    """
     r = np.sqrt(np.maximum(1.0 - correlation * correlation, 1e-12))
+    far = np.minimum(FAR_BEYOND / (a + 1.0 / (1.0 + a)), (KEPT_TO * r + np.maximum(b - correlation * a, 0.0)) / correlation)
+    beyond = NODES[:, None] * far
+    # the density beyond a, given that X is
+    density = np.exp(-a * beyond - 0.5 * beyond * beyond) * np.sqrt(2.0 / np.pi) / erfcx(a / np.sqrt(2.0))
     kept = ndtr((b - correlation * (a + beyond)) / r)
-    return np.asarray(np.sum(weights * kept, axis=0) / np.sum(weights, axis=0))
+    return np.minimum(np.sum(WEIGHTS[:, None] * density * kept, axis=0) * far, 1.0)
 
 
 def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
