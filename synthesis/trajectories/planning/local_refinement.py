@@ -34,6 +34,9 @@ MOST_SPREAD = 1.0
 SLABS = (0.1, 100.0)
 """Strips are between these, in deviations."""
 
+FARTHER, BESIDE = (0.5, 1.0, 2.0), (0.5, 1.0)
+"""How far the moves that helped most are tried again; and all others that helped, in proportion to their gains."""
+
 MOVED = 0.1
 """Moves of inputs, as a share of half their range, against those of logarithms."""
 
@@ -48,21 +51,26 @@ Smaller ones are those of few limits, and the plain sum leads searches better.""
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Moves of N candidates: inputs (N, S, m), logarithms of weights (N, k), and of strips (N, S + 1, j)."""
+    """Moves of N candidates: inputs (N, S, m), logarithms of weights (N, k), and of strips (N, S + 1, j), and shares by
+    which gains (N, m, d) change."""
 
     inputs: FloatArray
     weights: FloatArray
     strips: FloatArray
+    gains: FloatArray
 
-    def scaled(self, candidate: int, factors: FloatArray) -> Moves:
-        """Return one candidate's moves, as often as there are factors, each times its factor."""
-        parts = (self.inputs, self.weights, self.strips)
-        return Moves(*(np.multiply.outer(factors, part[candidate]) for part in parts))
+    @property
+    def parts(self) -> tuple[FloatArray, ...]:
+        """All of them."""
+        return self.inputs, self.weights, self.strips, self.gains
+
+    def mixed(self, shares: FloatArray) -> Moves:
+        """Return candidates that are sums of these, in the shares (M, N) of each."""
+        return Moves(*(np.tensordot(shares, part, 1) for part in self.parts))
 
     def beside(self, others: Moves) -> Moves:
         """Return these candidates before others."""
-        pairs = ((self.inputs, others.inputs), (self.weights, others.weights), (self.strips, others.strips))
-        return Moves(*(np.concatenate(pair) for pair in pairs))
+        return Moves(*(np.concatenate(pair) for pair in zip(self.parts, others.parts, strict=True)))
 
 
 def polished(search: NonlinearSearch, found: FeedbackTrajectory, generations: int) -> FeedbackTrajectory:
@@ -83,12 +91,19 @@ def polished(search: NonlinearSearch, found: FeedbackTrajectory, generations: in
         moves = _drawn(search, found, spread)
         # What helped may help again, and farther.
         moves = moves if last is None else last.beside(moves)
-        best, c = _best_moved(search, found, moves, first)
+        best, scores = _best_moved(search, found, moves, first)
         is_better = best.score < found.score
-        last = moves.scaled(c, np.array([0.5, 1.0, 2.0])) if is_better else None
+        last = moves.mixed(_again(found.score - scores)) if is_better else None
         found = best if is_better else found
         spread = min(MOST_SPREAD, spread * (WIDER if is_better else NARROWER))
     return begun if found is started else found
+
+
+def _again(gains: FloatArray) -> FloatArray:
+    """Return shares (M, N) of candidates of which those of the next generation are sums, by what each gained (N,)."""
+    best, helped = np.eye(len(gains))[gains.argmax()], np.maximum(gains, 0.0)
+    rest = (helped - helped.max() * best) / helped.max()
+    return np.concatenate([np.outer(FARTHER, best), np.outer(BESIDE, rest)])
 
 
 def _drawn(search: NonlinearSearch, found: FeedbackTrajectory, spread: float) -> Moves:
@@ -100,8 +115,11 @@ def _drawn(search: NonlinearSearch, found: FeedbackTrajectory, spread: float) ->
     weights = np.zeros((BATCH, len(found.theta)))
     weights[:, : d + m + 1] = rng.standard_normal((BATCH, d + m + 1)) * (rng.random((BATCH, d + m + 1)) < 0.3)
     parts = rng.random((3, BATCH)) < 0.6
-    return Moves(*(spread * part * np.expand_dims(here, tuple(range(1, part.ndim)))
-                   for part, here in zip((inputs, weights, strips), parts, strict=True)))  # fmt: skip
+    moved = [spread * part * np.expand_dims(here, tuple(range(1, part.ndim)))
+             for part, here in zip((inputs, weights, strips), parts, strict=True)]  # fmt: skip
+    # Gains of weighted squares are not all there are: with an eye on one limit others may be left.
+    gains = search.turning.standard_normal((BATCH, m, d)) * (search.turning.random((BATCH, 1, 1)) < 0.3)
+    return Moves(*moved, spread * gains)
 
 
 def _smooth(search: NonlinearSearch, shape: tuple[int, int], knots: int, times: int) -> FloatArray:
@@ -115,26 +133,27 @@ def _smooth(search: NonlinearSearch, shape: tuple[int, int], knots: int, times: 
 
 def _best_moved(
     search: NonlinearSearch, found: FeedbackTrajectory, moves: Moves, first: bool
-) -> tuple[FeedbackTrajectory, int]:
-    """Return the best of some candidates, and which it is."""
+) -> tuple[FeedbackTrajectory, FloatArray]:
+    """Return the best of some candidates, and the scores (N,) of all."""
     states, inputs = _rolled(search, found, moves.inputs)
-    fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
+    fine, scores = np.flatnonzero(np.isfinite(states).all(axis=(1, 2))), np.full(len(states), np.inf)
     if not len(fine):
-        return found, 0  # unstable agents may leave the numbers there are
+        return found, scores  # unstable agents may leave the numbers there are
     paths = found.nominal.many(states[fine], inputs[fine])
     which = np.arange(len(paths))
-    gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains
+    shares = found.shares * (1.0 + moves.gains[fine])
+    gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains * shares[:, None]
     strips = np.clip(found.feedback.strips * np.exp(np.clip(moves.strips[fine], -3.0, 3.0)), *SLABS)
     feedback = Feedback(gains, np.where(np.isinf(found.feedback.strips), np.inf, strips))
     search.work.walk(len(paths[0].inputs), search.agent.n_states, len(paths))
     worth, spreads = worth_of(paths, feedback, which)
     search.tried += len(paths)
-    scores = worth.scores(first)
+    scores[fine] = worth.scores(first)
     scores = np.where(np.isfinite(scores), scores, np.inf)
-    c = int(np.argmin(scores))
-    judged, values = (worth, spreads, feedback), (float(scores[c]), float(worth.failures(first)[c]))
+    c = int(np.argmin(scores[fine]))
+    judged, values = (worth, spreads, feedback), (float(scores[fine[c]]), float(worth.failures(first)[c]))
     best = found_of(judged, c, values, paths[c], found.theta + moves.weights[fine[c]], found.faces)
-    return best, int(fine[c])
+    return replace(best, shares=shares[c]), scores
 
 
 def _rolled(search: NonlinearSearch, found: FeedbackTrajectory, moved: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -76,7 +76,7 @@ class FeedbackTrajectory:
     """A nominal path with the best feedback that was found for it.
 
     ``score`` falls with the failure, and is a number also where the failure is 1; ``theta`` are the logarithms of the
-    weights and strips.
+    weights and strips, and ``shares`` (m, d) what gains are of those of the weights.
     """
 
     score: float
@@ -87,6 +87,7 @@ class FeedbackTrajectory:
     faces: NDArray[np.int64]
     spreads: Spreads
     weakest: str
+    shares: FloatArray | float = 1.0
 
     @property
     def path(self) -> AgentPath:
@@ -107,7 +108,7 @@ class NonlinearSearch:
         shared = problem.shared_noise[i]
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
-        self.narrowing = np.random.default_rng([20261126, i])
+        self.narrowing, self.turning = (np.random.default_rng([seed, i]) for seed in (20261126, 20261130))
         self.holding = tuple(np.random.default_rng([20261129, k, i]) for k in range(2))
         self.tried, self.tries_inputs = 0, False
         agent = self.agent
