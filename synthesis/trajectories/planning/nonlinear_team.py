@@ -46,7 +46,7 @@ WORSE = 3.0
 """By how much the logarithm of the failure of a plan may be worse than that of the best one for more work to be spent
 on it: with other visits after little work, or moved a little in all that is free."""
 
-POLISHED = ((3, 20), (1, 100))
+POLISHED = ((3, 20), (1, 200))
 """Plans that are moved a little in all that is free, and for how many generations: the best of some is gone on with."""
 
 FAIR = 1e-3
