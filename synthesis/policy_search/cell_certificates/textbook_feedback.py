@@ -22,7 +22,7 @@ from ...certificates.proofs import AgentPath, AlongPath, Synthesis, changed
 from ...extended_check.claims import checked_once
 from ...relations.grids import FloatArray
 from ..portfolio import with_settings
-from .agreement import along_path
+from .agreement import agreed, along_path
 from .on_cells import Plan
 
 NOTHING = 1e-4
@@ -61,6 +61,8 @@ def with_textbook_feedback(found: Synthesis, plan: Plan) -> Synthesis:
     tried.sort(key=lambda one: one[0][0] - BETTER * (one[1] is not found), reverse=True)
     # Of some runs the check proves not even that: a tube may be as wide as a turn of an angle.
     (successes, why), best, is_lqr = next((one for one in tried if checked_once(one[1].certificate)), tried[0])
+    proved = agreed(best)
+    best = proved if proved.certificate.lower_bound > NOTHING else best
     said = f"in {EPISODES} rollouts {successes} satisfy the task"
     said += f", most others fail as {why}" if why else ""
     said += "" if best is found else f"; the controllers follow a run without noise, {FEEDBACK[is_lqr]}"
@@ -72,13 +74,17 @@ def with_textbook_feedback(found: Synthesis, plan: Plan) -> Synthesis:
 
 
 def textbook_runs(problem: Problem, share: float, plan: Plan, most: float = MOST_WORK) -> list[AlongPath]:
-    """Return runs that are found for a share of the noise, as claims of nothing: as they are, and with LQR."""
+    """Return runs that are found for a share of the noise, as claims of nothing: as they are, and with LQR.
+
+    What the search believed of less noise is left out.
+    """
     work = replace(plan.along_paths, limit=most, told=lambda bound: None, counted=lambda spent: None)
     try:
         run: AlongPath = along_path(problem.replace(disturbance_scale=share), work).certificate
     except ValueError:
         return []
-    own = changed(run, problem=problem, failure=1.0)
+    settings = {key: value for key, value in run.settings.items() if key != "believed"}
+    own = changed(run, problem=problem, settings=settings, failure=1.0)
     if any(agent.others for agent in problem.agents):
         return [own]
     pairs = zip(problem.agents, own.proof.paths, own.controller.nominal, strict=True)
