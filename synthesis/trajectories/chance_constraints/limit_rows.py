@@ -262,7 +262,9 @@ def _kept_before(a: FloatArray, b: FloatArray, correlation: FloatArray) -> Float
     Where the correlation is large Y is kept by what is hardly beyond a: there the integral is taken.
     """
     r = np.sqrt(np.maximum(1.0 - correlation * correlation, 1e-12))
-    far = np.minimum(FAR_BEYOND / (a + 1.0 / (1.0 + a)), (KEPT_TO * r + np.maximum(b - correlation * a, 0.0)) / correlation)
+    far = np.minimum(
+        FAR_BEYOND / (a + 1.0 / (1.0 + a)), (KEPT_TO * r + np.maximum(b - correlation * a, 0.0)) / correlation
+    )
     beyond = NODES[:, None] * far
     # the density beyond a, given that X is
     density = np.exp(-a * beyond - 0.5 * beyond * beyond) * np.sqrt(2.0 / np.pi) / erfcx(a / np.sqrt(2.0))

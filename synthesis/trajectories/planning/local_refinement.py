@@ -119,7 +119,7 @@ def _drawn(search: NonlinearSearch, found: FeedbackTrajectory, spread: float) ->
              for part, here in zip((inputs, weights, strips), parts, strict=True)]  # fmt: skip
     # Gains of weighted squares are not all there are: with an eye on one limit others may be left.
     gains = search.turning.standard_normal((BATCH, m, d)) * (search.turning.random((BATCH, 1, 1)) < 0.3)
-    return Moves(*moved, spread * gains)
+    return Moves(moved[0], moved[1], moved[2], spread * gains)
 
 
 def _smooth(search: NonlinearSearch, shape: tuple[int, int], knots: int, times: int) -> FloatArray:
