@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.synthesis.extended_check.claims import greedy_disturbance
 from certigym.synthesis.extended_check.shields import Shield, shield_of, unknown_means
 from certigym.synthesis.extended_check.shields.noise_probabilities import NoiseAxis
+from certigym.synthesis.extended_check.shields.q_values import ActionValues
 from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
 from certigym.synthesis.verbs.raw_networks import certify_network
 from kinds import mostly_thorough
@@ -67,6 +68,7 @@ def test_least_values_are_below_those_of_every_disturbance(kind: str) -> None:
     spaces = [agent.workspace for agent in problem.agents]
     states = tuple(b.low[:, None] + (b.high - b.low)[:, None] * rng.random((len(b.low), count)) for b in spaces)
     q, tightest = int(np.flatnonzero(~problem.automaton.absorbing)[0]), np.inf
+    assert isinstance(values, ActionValues)
     inputs = anything(shield, states, np.full(count, q), np.full(count, 2), rng)
     for i, agent in enumerate(problem.agents):
         assert isinstance(agent, cg.Agent)

@@ -14,7 +14,9 @@ FALSE_ALARM = 1e-6
 @pytest.fixture(scope="module", params=["exact", "linear"])
 def value(request: pytest.FixtureRequest) -> ValueInTime:
     problem = cg.make_problem("reach-avoid-v0", horizon=5)
-    return cg.value_in_time(cg.synthesize(problem, 60, relation=request.param).certificate)
+    value = cg.value_in_time(cg.synthesize(problem, 60, relation=request.param).certificate)
+    assert isinstance(value, ValueInTime)
+    return value
 
 
 def states_of(problem: cg.Problem, count: int, seed: int) -> np.ndarray:

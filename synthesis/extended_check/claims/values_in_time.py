@@ -15,11 +15,24 @@ from numpy.typing import NDArray
 
 from ....envs.systems.arguments import tree_text
 from ....envs.systems.backends import is_whole
+from ....envs.tasks.problem import Problem
 from ...certificates.cell_probabilities import regrow_trains
-from ...certificates.proofs import Claim, OnGrid, RunProjection, checked_certificate, joint_states, seen_by, value_of
+from ...certificates.proofs import (
+    Certificate,
+    Claim,
+    OnGrid,
+    RunProjection,
+    VertexProof,
+    certificate_from,
+    checked_certificate,
+    joint_states,
+    seen_by,
+    value_of,
+)
 from ...certificates.value_functions import Terms, Trains
 from ...relations.grids import FloatArray
 from .checked_first import standing
+from .grid_values import VertexValues
 from .regrown_tree import regrow
 
 
@@ -73,18 +86,50 @@ class ValueInTime:
             If a shape does not fit, or a number is none of these.
         """
         problem = self.seen.problem
-        joint = joint_states(problem, states)
-        state = _whole(q, len(joint), "q", problem.automaton.n_states - 1)
-        left = _whole(steps_left, len(joint), "steps_left", problem.horizon)
+        joint, state, left = _asked(problem, states, q, steps_left)
         values = np.zeros(len(joint))
         on_cells = self.seen.automaton_states(state, problem.horizon - left)
         for steps in np.unique(left):
             here = np.flatnonzero((left == steps) & (on_cells >= 0))  # elsewhere no run comes to
             if steps:
                 values[here] = self._claims[problem.horizon - steps].in_state(joint[here], on_cells[here])
-        # Runs that are decided, and those that are at their end, have the value that they have come to.
-        finished = problem.automaton.absorbing[state] | (left == 0)
-        return np.where(finished, problem.automaton.accepting[state], values).astype(float)
+        return _or_decided(problem, state, left, values)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VertexValueInTime:
+    """The same for a certificate on a grid of vertices: lower bounds, up to the rounding of what is read."""
+
+    certificate: Certificate[VertexProof]
+    values: VertexValues
+
+    def __repr__(self) -> str:
+        rows = [
+            ("times", f"0 .. {self.certificate.problem.horizon - 1}"),
+            ("cells", self.certificate.proof.grid.size_text),
+        ]
+        return tree_text(f"Value in time of {self.certificate.problem.name!r}", rows)
+
+    def at(self, states: Any, q: Any, steps_left: Any) -> FloatArray:
+        """Return lower bounds (M,) on the probability that a run satisfies the task; see ``ValueInTime.at``."""
+        problem = self.certificate.problem
+        joint, state, left = _asked(problem, states, q, steps_left)
+        return _or_decided(problem, state, left, self.values.at(joint, state, left))
+
+
+def _asked(
+    problem: Problem, states: Any, q: Any, steps_left: Any
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+    """Return joint states (M, D), automaton states (M,) and steps to go (M,)."""
+    joint = joint_states(problem, states)
+    state = _whole(q, len(joint), "q", problem.automaton.n_states - 1)
+    return joint, state, _whole(steps_left, len(joint), "steps_left", problem.horizon)
+
+
+def _or_decided(problem: Problem, state: NDArray[np.int64], left: NDArray[np.int64], values: FloatArray) -> FloatArray:
+    """Return values (M,): of runs that are decided, and those that are at their end, what they have come to."""
+    finished = problem.automaton.absorbing[state] | (left == 0)
+    return np.where(finished, problem.automaton.accepting[state], values).astype(float)
 
 
 def _whole(numbers: Any, count: int, name: str, most: int) -> NDArray[np.int64]:
@@ -97,14 +142,14 @@ def _whole(numbers: Any, count: int, name: str, most: int) -> NDArray[np.int64]:
     return np.broadcast_to(array.astype(np.int64), (count,)).copy()
 
 
-def value_in_time(certificate: Any) -> ValueInTime:
+def value_in_time(certificate: Any) -> ValueInTime | VertexValueInTime:
     """Return the value functions of a certificate at every time, lower bounds at every state.
 
     The certificate is checked first, once. Growing the values takes about as long again; reading them is quick.
 
     Parameters
     ----------
-    certificate : certificate on cells
+    certificate : certificate on cells, or on the grid of vertices of one agent
         Of one task; give one of the ``parts`` of a product. Automaton states are those of the
         problem, also where it names the time.
 
@@ -113,6 +158,10 @@ def value_in_time(certificate: Any) -> ValueInTime:
     ValueError
         If it is no such certificate, or ``check`` refuses it.
     """
+    given = certificate_from(certificate)
+    if isinstance(given.proof, VertexProof):
+        standing(given)
+        return VertexValueInTime(given, VertexValues(given))
     held = checked_certificate(certificate)
     standing(certificate)
     return ValueInTime(held, claimed_values(held), seen_by(certificate))

@@ -185,6 +185,15 @@ class ActionValues:
             total[some] = product.sum(axis=0)
         return total
 
+    def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
+        """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""
+        same, found = np.full(states[0].shape[1], q), list[FloatArray]()
+        for i, controller in enumerate(self.certificate.controller.agents):
+            beside = self.beside(i, states)
+            others = None if beside is None else beside[:, None]
+            found.append(controller.act(states[i][:, None], same, time, None, None, others)[0][:, 0])
+        return tuple(found)
+
     def work(self, time: int, q: int) -> int:
         """Return how many numbers a question about one world holds."""
         vertices = self.vertices[time][q]

@@ -17,23 +17,27 @@ from numpy.typing import NDArray
 from ....envs.systems.arguments import tree_text
 from ....envs.tasks.problem import Problem
 from ...certificates.proofs import (
+    Capability,
     Certificate,
     OnGrid,
     ProductProof,
     RunProjection,
+    VertexProof,
     alike_members,
-    certificate_on_grids,
+    certificate_from,
     members_of,
     on_cells,
+    require,
     rounded_down,
     seen_by,
     shown_bound,
     start_of_claim,
 )
 from ...relations.grids import FloatArray
-from ..claims import standing
-from .q_values import ActionValues, action_values, groups
-from .shield_rule import Case, Choice, decentralised_choice, joint_choice
+from ..claims import VertexValues, standing
+from .q_values import action_values, groups
+from .shield_rule import Case, Choice, Valued, decentralised_choice, joint_choice
+from .vertex_action_values import VertexActionValues
 
 FORMS = ("joint", "decentralised")
 
@@ -44,7 +48,7 @@ class Shield:
 
     Parameters
     ----------
-    values : ActionValues
+    values : ActionValues or VertexActionValues
     probability : float
         The success probability p that is kept.
     form : "joint" or "decentralised"
@@ -56,7 +60,7 @@ class Shield:
         How runs of the problem that is kept are seen by the certificate: states and inputs are those of its agents.
     """
 
-    values: ActionValues
+    values: Valued
     probability: float
     form: str
     risk_budget: float
@@ -141,13 +145,7 @@ class Shield:
 
     def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
         """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""
-        same = np.full(states[0].shape[1], q)
-        found = []
-        for i, controller in enumerate(self.values.certificate.controller.agents):
-            beside = self.values.beside(i, states)
-            others = None if beside is None else beside[:, None]
-            found.append(controller.act(states[i][:, None], same, time, None, None, others)[0][:, 0])
-        return tuple(found)
+        return self.values.certified_inputs(states, q, time)
 
     def next_budget(
         self, ratio: FloatArray, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any]
@@ -197,7 +195,7 @@ class _Source:
     largest probability that can be kept.
     """
 
-    values: ActionValues
+    values: Valued
     mean: float | None
     most: float
     seen: RunProjection
@@ -205,6 +203,8 @@ class _Source:
     @classmethod
     def of(cls, whole: Certificate) -> _Source:
         """Return the source of a certificate that can be a shield, and stands."""
+        if isinstance(whole.proof, VertexProof):
+            return cls._on_vertices(whole)
         certificate: OnGrid = on_cells(whole)
         values, problem = action_values(certificate), certificate.problem
         if start_of_claim(certificate) == "mean":
@@ -217,12 +217,19 @@ class _Source:
             holds = np.concatenate([problem.labeling.class_at(i, x) for i, x in enumerate(states)])
             q = problem.automaton.next_state(np.full(1, problem.automaton.initial), holds)
             least = float(values.of_states(states, q, np.zeros(1, dtype=np.int64))[0])
-        most = max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
-        return cls(values, mean, most, seen_by(whole))
+        return cls(values, mean, _most(least, values), seen_by(whole))
+
+    @classmethod
+    def _on_vertices(cls, certificate: Certificate[VertexProof]) -> _Source:
+        """Return the same of a certificate on a grid of vertices, whose bound is that of its start, or their mean."""
+        values, least = VertexActionValues(certificate, VertexValues(certificate)), certificate.lower_bound
+        mean = least if start_of_claim(certificate) == "mean" else None
+        return cls(values, mean, _most(least, values), seen_by(certificate))
 
     def renamed(self, whole: Certificate) -> _Source:
         """Return the source of a certificate that differs in names alone."""
-        return replace(self, values=replace(self.values, certificate=on_cells(whole)), seen=seen_by(whole))
+        held: Any = whole if isinstance(whole.proof, VertexProof) else on_cells(whole)
+        return replace(self, values=replace(self.values, certificate=held), seen=seen_by(whole))
 
     def shield(self, p: float, form: str) -> Shield:
         """Return the shield that keeps p, at most ``most``."""
@@ -231,8 +238,25 @@ class _Source:
         return Shield(self.values, p, form, risk_budget, self.mean, self.seen)
 
 
-def _check_certificate(certificate: OnGrid) -> None:
+def _most(least: float, values: Valued) -> float:
+    """Return the largest probability that can be kept, from a lower bound on what the start is worth."""
+    return max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
+
+
+def _check_member(member: Certificate) -> None:
     """Raise ValueError, with what to do, unless a certificate of one task can be a shield."""
+    if not isinstance(member.proof, VertexProof):
+        require(member, Capability.VALUES)
+        _check_certificate(on_cells(member))
+    elif member.problem.agents[0].angles or member.proof.grid.matrix is not None:
+        raise ValueError(
+            f"`certificate`: expected a grid of the states of agent `{member.problem.agent_names[0]}`, got one of "
+            "other coordinates, or with an angle: a shield does not know which number stands for a state there"
+        )
+
+
+def _check_certificate(certificate: OnGrid) -> None:
+    """Raise ValueError, with what to do, unless a certificate on cells can be a shield."""
     if certificate.proof.terms is None:
         raise ValueError(
             "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: shields "
@@ -271,7 +295,8 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
     Parameters
     ----------
     certificate : Synthesis, certificate or path of one
-        With a value tree, and relations without memory (``exact``, ``linear``, ``boxes``).
+        With a value tree, and relations without memory (``exact``, ``linear``, ``boxes``); or on the grid of vertices
+        of one agent.
     probability : float
         Success probability p to keep, above 0 and at most the certified bound (less what rounding may take off).
     form : "joint" or "decentralised"
@@ -282,11 +307,11 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
     ValueError
         If the certificate cannot be a shield, ``check`` refuses it, or p is out of range; the text says what to do.
     """
-    certificate, p = certificate_on_grids(certificate), _checked(probability, form)
+    certificate, p = certificate_from(certificate), _checked(probability, form)
     for member in members_of(certificate):
-        _check_certificate(on_cells(member))
+        _check_member(member)
     certificate = standing(certificate)
-    if on_cells(certificate) is not None:
+    if isinstance(certificate.proof, VertexProof) or on_cells(certificate) is not None:
         source = _Source.of(certificate)
         if p > source.most:
             raise ValueError(_too_much(p, source.most))

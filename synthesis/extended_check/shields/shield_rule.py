@@ -24,6 +24,10 @@ from numpy.typing import NDArray
 
 from ...relations.grids import FloatArray
 from .q_values import ActionValues, pieces
+from .vertex_action_values import VertexActionValues
+
+Valued = ActionValues | VertexActionValues
+"""What says what states and inputs are worth under a certificate."""
 
 ROUNDS = 2
 """Points that are tried on the line to the certified input; each costs as much as judging the proposal."""
@@ -93,7 +97,7 @@ class Choice:
     overridden: NDArray[np.bool_]
 
 
-def joint_choice(values: ActionValues, case: Case) -> Choice:
+def joint_choice(values: Valued, case: Case) -> Choice:
     """Return what is applied if the inputs of all agents are judged together."""
     q_values = values.of_inputs(case.time, case.q, case.states, case.proposed)
     # A comparison with what is no number is false: the proposal is refused.
@@ -108,9 +112,7 @@ def joint_choice(values: ActionValues, case: Case) -> Choice:
     return Choice(inputs, ratio_of(case.budget, q_values), overridden)
 
 
-def _towards_certified(
-    values: ActionValues, case: Case, q_values: FloatArray
-) -> tuple[tuple[FloatArray, ...], FloatArray]:
+def _towards_certified(values: Valued, case: Case, q_values: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
     """Return inputs on the line to the certified ones, and their Q; ``q_values`` (M,) is Q of the proposed ones.
 
     Every point that is taken was judged itself; Q need not fall along the line.
@@ -163,7 +165,7 @@ class Line:
         self.far[bad], self.far_worth[bad] = share[~allowed], np.nan_to_num(q_values[~allowed])
 
 
-def decentralised_choice(values: ActionValues, case: Case) -> Choice:
+def decentralised_choice(values: Valued, case: Case) -> Choice:
     """Return what is applied if each agent judges its own input; budget and Q of the certified inputs are shared."""
     count = len(case.states)
     inputs = tuple(u.copy() for u in case.certified)
@@ -192,7 +194,7 @@ def _share_of_each(certified: FloatArray, budget: FloatArray, count: int) -> Flo
 
 
 def _agents_choice(
-    values: ActionValues, case: Case, i: int, base: FloatArray, threshold: FloatArray
+    values: Valued, case: Case, i: int, base: FloatArray, threshold: FloatArray
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the input (m, M) of agent i, its factors (R, M) there, and whether its proposal was let through (M,)."""
     count = len(threshold)

@@ -64,7 +64,14 @@ def nodes_of(agent: Agent, edges: tuple[Array, ...], noises: Sequence[Noise | No
 
 def pieces_of(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int, nodes: tuple[Array, ...]) -> ClosedLoop:
     """Return the closed loop at vertices: points are vertices beside every node, and cells pieces at every vertex."""
-    at, off = vertices_of(edges), INPUT_OFF * np.abs(agent.input_box).max(axis=0)
+    return pieces_at(agent, vertices_of(edges), tuple(len(axis) for axis in edges), inputs, t, nodes)
+
+
+def pieces_at(
+    agent: Agent, at: Array, shape: tuple[int, ...], inputs: Array, t: int, nodes: tuple[Array, ...]
+) -> ClosedLoop:
+    """Return the same at any states (d, n), arranged as ``shape``, under inputs (n, m)."""
+    off = INPUT_OFF * np.abs(agent.input_box).max(axis=0)
     (d, n), m = at.shape, len(off)
     every = np.repeat(vertices_of(nodes), n, axis=1)
     count = every.shape[1] // n
@@ -77,8 +84,19 @@ def pieces_of(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int, nod
     ways = [np.zeros((2, ranges.shape[1], 1, ranges.shape[2])) for _ in nodes]
     for j, moves in enumerate(ways):
         moves[:, d + m + j, 0] = down(high[j] - low[j]), up(high[j] - low[j])
-    points = (*(len(own) for own in nodes), *(len(axis) for axis in edges))
-    return enclosed(agent, images, points, ranges, ways, t)
+    return enclosed(agent, images, (*(len(own) for own in nodes), *shape), ranges, ways, t)
+
+
+def still_at(agent: Agent, at: Array, inputs: Array, t: int) -> ClosedLoop:
+    """Return the closed loop at states (d, n) under inputs (n, m) where there are no disturbances.
+
+    Each point stands twice, at both ends of a cell along which nothing moves.
+    """
+    off, n = INPUT_OFF * np.abs(agent.input_box).max(axis=0), at.shape[1]
+    centre, rho = (np.tile(own, 2) for own in images_at(agent, at, inputs, t))
+    given = np.stack([down(inputs - off), up(inputs + off)]).transpose(0, 2, 1)
+    ranges = np.concatenate([interval(at), given], axis=1)
+    return enclosed(agent, (centre, rho), (2, n), ranges, [np.zeros((2, ranges.shape[1], 1, n))], t)
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ from ...checker.intervals import up
 from ...checker.motions import cell_boxes, cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
-from .any_disturbance import AnyDisturbance, nodes_of, pieces_of
+from .any_disturbance import AnyDisturbance, nodes_of, pieces_at, pieces_of, still_at
 from .closed_loops import ClosedLoop, closed_loop, corners_of, images_at, names_time, vertices_of
 from .coordinates import Independent, independent, start_points
 from .images import Images, Vertices
@@ -360,6 +360,19 @@ class Backups:
             here = tuple(slice(c, n + c) for c, n in zip(corner, self.shape, strict=True))
             np.minimum(result[here], table[(slice(None),) * d + corner], out=result[here])
         return np.where(np.isinf(result), 0.0, result), nothing.reshape(self.shape)
+
+    def means_at(self, W: Array, states: Array, inputs: Array, t: int) -> Array:
+        """Return lower bounds (n,) on F at any states (d, n) under inputs (n, m), at a time.
+
+        They hold whatever disturbances do; what is not known is below 0.
+        """
+        for k, noisy in enumerate(self.noisy):
+            W = W if noisy else _continuous(W, k)
+        if self.agent.disturbances:
+            nodes, loop = self.nodes, pieces_at(self.agent, states, (states.shape[1],), inputs, t, self.nodes)
+        else:
+            nodes, loop = (np.zeros(2),), still_at(self.agent, states, inputs, t)
+        return AnyDisturbance(Images.of(loop, self.edges_at(t + 1), self.noises, self.near), nodes).below(W)
 
     def charge(self, W: Array, images: Images | LatticeImages) -> tuple[Array, Array]:
         """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""

@@ -17,7 +17,7 @@ from ....envs.interfaces import Picture, verdict_text
 from ....envs.systems.arguments import write_bytes
 from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.proofs import Certificate
-from ....synthesis.extended_check.claims import ValueInTime, claim_text, value_in_time
+from ....synthesis.extended_check.claims import ValueInTime, VertexValueInTime, claim_text, value_in_time
 from ...statistical_tests import Batchable, Loop, paths, task_tracks
 
 _HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
@@ -40,7 +40,7 @@ class Player:
 
     controller: Batchable
     caption: str
-    value: ValueInTime | None = None
+    value: ValueInTime | VertexValueInTime | None = None
 
     @classmethod
     def of(cls, name: str, policy: Any) -> Player:
@@ -52,7 +52,7 @@ class Player:
         return cls(getattr(policy, "controller", policy), Path(name).stem)
 
 
-def _values(claim: Certificate) -> ValueInTime | None:
+def _values(claim: Certificate) -> ValueInTime | VertexValueInTime | None:
     """Return the values of a certificate at all times; None for kinds that have none."""
     try:
         return value_in_time(claim)
