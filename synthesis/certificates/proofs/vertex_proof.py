@@ -16,9 +16,14 @@ from .path_proof import ONE_RUN, OTHER_STARTS, probability
 from .proof import Capability, FailureProof
 from .vertex_grid import VertexGrid
 
-UNSUPPORTED = MappingProxyType({
-    Capability.VALUES: ONE_RUN.replace("along a path", "on a grid of vertices"),
-    Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on a grid of vertices"),
+OF_TEAM = MappingProxyType({
+    Capability.VALUES: ONE_RUN.replace("along a path", "on grids of vertices"),
+    Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on grids of vertices"),
+})  # fmt: skip
+OF_ONE = MappingProxyType({
+    **{asked: text.replace("grids of vertices", "a grid of vertices") for asked, text in OF_TEAM.items()},
+    Capability.VALUES: "one on a grid of vertices, whose values only `value_in_time` and `shield` know; "
+    '`relation="linear"` or "boxes" may give one on cells',
 })  # fmt: skip
 """What whoever asks for values, or for other starts, is told."""
 
@@ -38,7 +43,7 @@ class VertexProof(FailureProof):
     failure: float
 
     kind = "vertex-grid"
-    unsupported = UNSUPPORTED
+    unsupported = OF_ONE
     bound = "vertex grid"
 
     @property
@@ -94,7 +99,7 @@ class VertexTeamProof(FailureProof):
     failure: float
 
     kind = "vertex-grids"
-    unsupported = UNSUPPORTED
+    unsupported = OF_TEAM
     bound = "vertex grid"
 
     @property
