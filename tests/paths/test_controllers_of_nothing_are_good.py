@@ -66,7 +66,8 @@ def test_controllers_without_feedback_give_way_to_better_ones() -> None:
     chosen = with_textbook_feedback(found, plan())
     before, after = (rollouts_of(CART, one.controller)[0] for one in (found, chosen))
     assert before < 0.5 * after and 0 < after < 1000
-    assert chosen.certificate.lower_bound == 0.0 and cg.check(chosen.certificate, CART).valid
+    # What the checker proves of them is claimed: next to nothing here.
+    assert 1e-4 < chosen.certificate.lower_bound < 0.01 and cg.check(chosen.certificate, CART).valid
     # What is said is in the file, too, and counts the rollouts of the controllers that are given.
     why = str(chosen.stats["nothing"])
     assert why.startswith(
