@@ -35,7 +35,7 @@ from ...certificates.proofs import (
 )
 from ...relations.grids import FloatArray
 from ..claims import VertexValues, standing
-from .q_values import action_values, groups
+from .q_values import ActionValues, action_values, groups
 from .shield_rule import Case, Choice, Valued, decentralised_choice, joint_choice
 from .vertex_action_values import VertexActionValues
 
@@ -203,28 +203,28 @@ class _Source:
     @classmethod
     def of(cls, whole: Certificate) -> _Source:
         """Return the source of a certificate that can be a shield, and stands."""
+        values: Valued
         if isinstance(whole.proof, VertexProof):
-            return cls._on_vertices(whole)
-        certificate: OnGrid = on_cells(whole)
-        values, problem = action_values(certificate), certificate.problem
+            values = VertexActionValues(whole, VertexValues(whole))
+        else:
+            values = action_values(on_cells(whole))
+        certificate, problem = values.certificate, values.certificate.problem
         if start_of_claim(certificate) == "mean":
-            # The claim takes rounding off, so that it is below the mean of what is read at starts.
-            claim = replace(certificate.claim, value=values.values[0])
-            low, high = (np.concatenate([getattr(a.initial, side) for a in problem.agents]) for side in ("low", "high"))
-            least = mean = claim.mean(low, high)
+            least = mean = certificate.lower_bound
+            if isinstance(values, ActionValues):
+                # The claim takes rounding off, so that it is below the mean of what is read at starts.
+                claim = replace(values.certificate.claim, value=values.values[0])
+                low, high = (
+                    np.concatenate([getattr(a.initial, side) for a in problem.agents]) for side in ("low", "high")
+                )
+                least = mean = claim.mean(low, high)
         else:
             states, mean = tuple(agent.initial.low[:, None] for agent in problem.agents), None
             holds = np.concatenate([problem.labeling.class_at(i, x) for i, x in enumerate(states)])
             q = problem.automaton.next_state(np.full(1, problem.automaton.initial), holds)
             least = float(values.of_states(states, q, np.zeros(1, dtype=np.int64))[0])
-        return cls(values, mean, _most(least, values), seen_by(whole))
-
-    @classmethod
-    def _on_vertices(cls, certificate: Certificate[VertexProof]) -> _Source:
-        """Return the same of a certificate on a grid of vertices, whose bound is that of its start, or their mean."""
-        values, least = VertexActionValues(certificate, VertexValues(certificate)), certificate.lower_bound
-        mean = least if start_of_claim(certificate) == "mean" else None
-        return cls(values, mean, _most(least, values), seen_by(certificate))
+        most = max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
+        return cls(values, mean, most, seen_by(whole))
 
     def renamed(self, whole: Certificate) -> _Source:
         """Return the source of a certificate that differs in names alone."""
@@ -236,11 +236,6 @@ class _Source:
         # What rounding may take off is owed on top of p.
         risk_budget = (p + self.values.loss) / (1.0 - self.values.relative_loss) * (1.0 + 1e-15)
         return Shield(self.values, p, form, risk_budget, self.mean, self.seen)
-
-
-def _most(least: float, values: Valued) -> float:
-    """Return the largest probability that can be kept, from a lower bound on what the start is worth."""
-    return max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
 
 
 def _check_member(member: Certificate) -> None:
