@@ -14,6 +14,7 @@ import certigym as cg
 from certigym.envs.simulation import Dynamics, Worlds, batch_simulator
 from certigym.synthesis.extended_check.claims import VertexValues, greedy_disturbance
 from certigym.synthesis.extended_check.shields import Shield, shield_of
+from certigym.synthesis.extended_check.shields.shield_rule import Case, decentralised_choice
 from certigym.synthesis.extended_check.shields.vertex_action_values import VertexActionValues
 from certigym.synthesis.extended_check.vertex_grids import Backups
 from shield_trials import anything, episodes, the_worst
@@ -166,3 +167,20 @@ def test_cells_that_are_given_up_are_worth_nothing() -> None:
             assert values.at(at, np.array([q]), np.array([left]))[0] == 0.0
             checked += 1
     assert checked > 10
+
+
+@pytest.mark.parametrize("worth", [0.0, np.nan])
+def test_nobody_leaves_certified_inputs_that_are_worth_less_than_is_owed(worth: float) -> None:
+    """Bounds on certified inputs may be a little below the value: then a proposal has nothing to be compared with."""
+
+    class Short:
+        def work(self, time: int, q: int) -> int:
+            return 1
+
+        def expected(self, time: int, q: int, i: int, states: Any, inputs: np.ndarray) -> np.ndarray:
+            return np.where(inputs[:1] == 0.0, worth, 0.5)
+
+    one = np.ones((1, 3))
+    case = Case(0, 0, (one,), (one,), (0.0 * one,), (-one,), (one,), np.full(3, 1e-9))
+    choice = decentralised_choice(Short(), case)  # type: ignore[arg-type]
+    assert np.all(choice.overridden) and np.all(choice.inputs[0] == 0.0)

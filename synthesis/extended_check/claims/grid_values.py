@@ -6,16 +6,18 @@ They are lower bounds like the claim, by its theorem (``vertex_grids.backups``),
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, VertexProof, canonical_problem
 from ...checker import read_problem
 from ...relations.grids import FloatArray
 from ..vertex_grids import Backups, independent, numbers_in
+
+SIDES: Final[tuple[Literal["left", "right"], ...]] = ("left", "right")
 
 
 class VertexValues:
@@ -47,30 +49,13 @@ class VertexValues:
             for k in turning:
                 x[k] = numbers_in(x[k], 0.5 * (edges[k][0] + edges[k][-1]))
             inside = np.all([(axis[0] <= own) & (own <= axis[-1]) for axis, own in zip(edges, x, strict=True)], axis=0)
-            # on an edge the least of what is said on either side
-            ways = itertools.product(("right", "left"), repeat=len(edges))
             values, given_up = self.tables[steps_left]
-            least = np.minimum.reduce([_read(values, given_up, edges, x, q[here], way) for way in ways])
-            result[here] = np.where(inside, least, 0.0)
+            read = interpolated(edges, values.reshape(len(values), -1, 1), x, q[here])[0]
+            # on an edge no cell on either side may be 0
+            places = [
+                [np.clip(np.searchsorted(axis, own, side=side) - 1, 0, len(axis) - 2) for side in SIDES]
+                for axis, own in zip(edges, x, strict=True)
+            ]
+            nothing = np.any([given_up[(q[here], *place)] for place in itertools.product(*places)], axis=0)
+            result[here] = np.where(inside & ~nothing, read, 0.0)
         return result
-
-
-def _read(
-    values: FloatArray,
-    given_up: NDArray[np.bool_],
-    edges: tuple[FloatArray, ...],
-    x: FloatArray,
-    q: NDArray[np.int64],
-    sides: Sequence[Any],
-) -> FloatArray:
-    """Return multilinear interpolations (M,) at states (d, M), of states on edges in the cells on these sides."""
-    places, shares = list[NDArray[np.int64]](), list[FloatArray]()
-    for axis, own, side in zip(edges, x, sides, strict=True):
-        place = np.clip(np.searchsorted(axis, own, side=side) - 1, 0, len(axis) - 2)
-        places.append(place)
-        shares.append(np.clip((own - axis[place]) / (axis[place + 1] - axis[place]), 0.0, 1.0))
-    result = np.zeros(x.shape[1])
-    for corner in itertools.product((0, 1), repeat=len(edges)):
-        weight = np.prod([s if up else 1.0 - s for up, s in zip(corner, shares, strict=True)], axis=0)
-        result += weight * values[(q, *(place + up for up, place in zip(corner, places, strict=True)))]
-    return np.where(given_up[(q, *places)], 0.0, result)

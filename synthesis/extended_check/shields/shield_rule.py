@@ -205,7 +205,8 @@ def _agents_choice(
         found = values.expected(case.time, case.q, i, tuple(x[:, which] for x in case.states), tried)
         ratio = kappa(found, base[:, which])
         # What is no number has no ratio where the certified factors are all 0: it is refused by itself.
-        allowed = (ratio >= threshold[which]) & np.isfinite(tried).all(axis=0)
+        # Where the certified factors are worth less than is owed nobody may leave them: inf is no threshold to reach.
+        allowed = (ratio >= threshold[which]) & np.isfinite(threshold[which]) & np.isfinite(tried).all(axis=0)
         taken = which[allowed]
         inputs[:, taken], factors[:, taken] = tried[:, allowed], found[:, allowed]
         return ratio, allowed

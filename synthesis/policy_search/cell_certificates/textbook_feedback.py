@@ -61,14 +61,14 @@ def with_textbook_feedback(found: Synthesis, plan: Plan) -> Synthesis:
     tried.sort(key=lambda one: one[0][0] - BETTER * (one[1] is not found), reverse=True)
     # Of some runs the check proves not even that: a tube may be as wide as a turn of an angle.
     (successes, why), best, is_lqr = next((one for one in tried if checked_once(one[1].certificate)), tried[0])
-    proved = agreed(best)
-    best = proved if proved.certificate.lower_bound > NOTHING else best
     said = f"in {EPISODES} rollouts {successes} satisfy the task"
     said += f", most others fail as {why}" if why else ""
     said += "" if best is found else f"; the controllers follow a run without noise, {FEEDBACK[is_lqr]}"
     # What is most likely to be lost by the bounds of a path is no news beside what rollouts lose.
     first = str(found.stats.get("nothing", "")).partition(", with noise most")[0]
     nothing = f"{first}; {said}" if first else said
+    proved = agreed(best)
+    best = proved if proved.certificate.lower_bound > NOTHING else best
     best = with_settings(best, {**found.certificate.settings, "nothing": nothing})
     return replace(best, stats={**found.stats, "nothing": nothing})
 
